@@ -108,6 +108,28 @@ STUCK = {
     "propellant_kg": "propellant kg",
 }
 
+APPROACH = {
+    "target": "target",
+    "part": "part",
+    "flights": "flights",
+    "refused": "refused",
+    "contacts": "contacts",
+    "undecided": "undecided",
+    "zones_entered": "zones entered",
+    "zones_undecided": "zones undecided",
+    "zone_clearance_m": "least from a zone m",
+    "corridor_clearance_m": "least from a wall m",
+    "minimum_clearance_m": "least clearance m",
+    "holds_kept": "holds kept",
+    "reached": "reached",
+    "delta_v_mps": "Δv m/s",
+    "delta_v_over_straight": "Δv / straight legs",
+    "delta_v_over_without_zones": "Δv / without zones",
+    "time_over_without_zones": "time / without zones",
+    "step_p99_us": "step p99 µs",
+    "step_p99_without_us": "p99 without zones µs",
+}
+
 ADVERSARY = {
     "mission": "mission",
     "attack": "attack",
@@ -238,6 +260,18 @@ def navigation() -> list[str]:
         *note("navigation"),
     ]
     return measured("Flown on sensors", words, sorted(rows, key=lambda row: (row["target"], row["suite"])), NAVIGATION)
+
+
+def approaches() -> list[str]:
+    """Give dispersed approaches from hold point to hold point, and abandoned ones."""
+    rows = [dict.fromkeys(APPROACH) | row for row in kept_file("approach")]
+    words = [
+        "`python benchmarks/approach.py`; discussed in [Approaches](approach.md). With sensors and on/off thrusters; "
+        "six zones and corridors; of an abandoned flight the holds are those before. A hold is kept where the true "
+        "position stays within its tolerance for its dwell.",
+        *note("approach"),
+    ]
+    return measured("Approaches", words, rows, APPROACH)
 
 
 def stuck() -> list[str]:
@@ -559,6 +593,7 @@ SECTIONS = (
     faults,
     navigation,
     stuck,
+    approaches,
     adversary,
     reproduction,
     training,

@@ -162,6 +162,7 @@ def test_a_boresight_turns_on_the_great_circle_and_stops_there():
     assert np.linalg.norm(back) == pytest.approx(1.0)
 
 
+@pytest.mark.slow  # what a drift touches is in tests/apps/inspection/test_passive.py and test_drifting.py
 def test_a_plan_counts_its_legs_and_keeps_to_places_where_rest_is_safe(whole):
     """In a low orbit a drift of half an hour leads from many places back to the box."""
     problem = asked(passive_safety=1500.0)

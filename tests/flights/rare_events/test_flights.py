@@ -152,7 +152,7 @@ def test_what_is_not_random_or_draws_for_itself_has_no_tape(changes, said):
         Tape.of(NEAR.replace(**changes))
 
 
-@pytest.mark.long
+@pytest.mark.slow  # that nothing is beyond the assumptions is told below, and by tests/core/mission/test_assumptions.py
 def test_what_the_theorem_excludes_is_not_measured():
     errors = {"guard": {"enabled": True, "position_error": 0.02}, "faults": {"position_noise": 0.02}}
     covered = NEAR.replace(target={"source": "box"}, field={"source": "grid"}, **errors)
