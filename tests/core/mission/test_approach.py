@@ -168,3 +168,9 @@ def test_words_lead_on_on_board(mission):
         if step == 299:  # nobody said anything yet, whatever the time
             assert np.linalg.norm(state.position - np.array(LEGS[0]["position"])) < 0.1
     assert np.linalg.norm(state.position - np.array(LEGS[0]["position"])) < 0.1
+
+
+def test_what_is_led_otherwise_refuses_legs_and_zones():
+    approach.require_one_leg(Scenario(), "it is led otherwise")
+    with pytest.raises(KeepoutError, match=r"leg, zone, corridor, approach\.speed_by_distance: .* led otherwise"):
+        approach.require_one_leg(Scenario.parse(TREE), "it is led otherwise")

@@ -19,6 +19,7 @@ from keepout.core.cores import available_cores
 from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import require_flyable
+from keepout.core.mission.approach import require_one_leg
 from keepout.core.mission.build import build_guard, require_navigation
 from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
@@ -53,6 +54,7 @@ def approach_world(mission: Mission, guard: bool, starts: Any) -> World:
     if mission is None:
         mission, starts = MISSION, ("shell", 6.0, 9.0) if starts is None else starts
     scenario = Scenario.of(mission)
+    require_one_leg(scenario, "an episode is led by its agent")
     target = load_target(scenario.target)
     require_apart(scenario, target)
     require_navigation(scenario)

@@ -25,6 +25,7 @@ from keepout.apps.led.camera import Boresight
 from keepout.core.control.design import least_offset
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
+from keepout.core.mission.approach import require_one_leg
 from keepout.core.mission.law import room_for_guard
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
@@ -96,6 +97,7 @@ def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None
         InspectionError: the message names the entry, its value, and what would be valid.
 
     """
+    require_one_leg(scenario, "an inspection is led by its plan of views")
     _require_times(scenario)
     if scenario.light.direction is not None and scenario.light.kind != "fixed":
         raise InspectionError(

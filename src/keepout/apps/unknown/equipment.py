@@ -14,6 +14,7 @@ from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.errors import ScenarioError
 from keepout.core.geometry.target import Target
+from keepout.core.mission.approach import require_one_leg
 from keepout.core.mission.scenario import Scenario
 
 _CAP = 1.5
@@ -103,6 +104,7 @@ def require_explorable(scenario: Scenario, camera: DepthCamera) -> None:
         ScenarioError: the message names the entry.
 
     """
+    require_one_leg(scenario, "an exploration is led by what it sees")
     period, entry = scenario.control.period, scenario.depth_sensor
     for name in ("period", "latency"):
         value = getattr(entry, name)

@@ -49,6 +49,23 @@ _PORT = 1.0
 """A corridor's port is nearer to the mesh than this, m."""
 
 
+def require_one_leg(scenario: Scenario, led_by: str) -> None:
+    """Refuse legs, zones, corridors and a rule of speeds where they would not be heeded.
+
+    Args:
+        scenario: as flown.
+        led_by: what leads instead, in words.
+
+    Raises:
+        ScenarioError: naming what is there.
+
+    """
+    there = [name for name in ("leg", "zone", "corridor") if getattr(scenario, name)]
+    there += ["approach.speed_by_distance"] if scenario.approach.speed_by_distance else []
+    if there:
+        raise ScenarioError(f"{', '.join(there)}: for fly, campaign and rare; {led_by}. Leave them out")
+
+
 def has_rules(scenario: Scenario) -> bool:
     """Whether a scenario has any legs, zones, corridors or approach rules."""
     return bool(scenario.leg or scenario.zone or scenario.corridor or scenario.approach.speed_by_distance)
