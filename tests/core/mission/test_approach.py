@@ -152,7 +152,7 @@ def test_a_drift_breaks_what_the_guard_assumes():
     state, force = faults.command(state, jnp.ones(3), jnp.asarray(100.0))
     np.testing.assert_array_equal(force, 0.0)
     with pytest.raises(KeepoutError, match="there are no legs"):
-        Scenario.parse({"faults": {"abort_at": 100.0}})
+        approach.require_approach(Surroundings(Scenario.parse({"faults": {"abort_at": 100.0}})))
 
 
 @pytest.mark.slow  # compiles the step on board three times; that a setup leads on is in tests/core/flight

@@ -10,7 +10,13 @@ from keepout.flights.pages.mission_words import in_words
 FAULTS = {
     **{name: 0.0123 for name in FaultsEntry.model_fields if "bias" in name or "noise" in name},
     **{"law": "random", "delay": 7, "dropped": 0.0123, "gain_error": 0.0123, "stuck": "+y", "thruster": 3},
-    **{"stuck_force": 0.0123, "stuck_from": 47.5, "thruster_stuck": "on", "noise_correlation_time": 47.5},
+    **{
+        "stuck_force": 0.0123,
+        "stuck_from": 47.5,
+        "abort_at": 47.5,
+        "thruster_stuck": "on",
+        "noise_correlation_time": 47.5,
+    },
 }
 NEEDS = {
     "stuck_force": {"stuck": "+y"},

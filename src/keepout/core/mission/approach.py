@@ -470,6 +470,11 @@ def require_approach(around: Surroundings) -> None:
 
     """
     scenario, target = around.scenario, around.target
+    if scenario.faults.abort_at is not None and scenario.approach.abort == "retreat" and not scenario.leg:
+        raise ScenarioError(
+            f'faults.abort_at: {scenario.faults.abort_at:g} s, and approach.abort is "retreat", to the hold point '
+            'before; there are no legs. Give some, or abort = "drift"'
+        )
     places = [("start.position", scenario.start.position, 0.0)]
     if scenario.leg:
         times = earliest(scenario)

@@ -145,8 +145,6 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
         for number, zone in enumerate(self.zone):
             if zone.until == "go" and not said:
                 yield f'zone.{number}.until: "go", and no leg has until = "go"; give the zone a time, or leave it out'
-        if self.faults.abort_at is not None and self.approach.abort == "retreat" and not self.leg:
-            yield 'faults.abort_at: approach.abort is "retreat", to the hold point before, and there are no legs'
         if self.leg and (self.goal.position, self.goal.tolerance) != (self.leg[-1].position, self.leg[-1].tolerance):
             yield (
                 f"goal.position: {list(self.goal.position)} within {self.goal.tolerance} m, and the last leg leads to "

@@ -213,6 +213,11 @@ def _faults(scenario: Scenario) -> Iterator[str]:
     if faults.stuck is not None:
         since = f"from {faults.stuck_from:g} s on, at {faults.stuck_force:g} N"
         yield f"The thruster that pushes to {faults.stuck} sticks {since}."
+    if faults.abort_at is not None:
+        back = (
+            "it flies back to the hold before" if scenario.approach.abort == "retreat" else "nothing thrusts any more"
+        )
+        yield f"The mission is abandoned at {faults.abort_at:g} s: from then on {back}."
     if faults.thruster is not None:
         yield f"Thruster {faults.thruster} sticks {faults.thruster_stuck} from {faults.stuck_from:g} s on."
 
