@@ -174,3 +174,16 @@ def test_what_is_led_otherwise_refuses_legs_and_zones():
     approach.require_one_leg(Scenario(), "it is led otherwise")
     with pytest.raises(KeepoutError, match=r"leg, zone, corridor, approach\.speed_by_distance: .* led otherwise"):
         approach.require_one_leg(Scenario.parse(TREE), "it is led otherwise")
+
+
+@pytest.mark.long
+def test_drifts_from_a_flight_are_judged_leg_by_leg(flight):
+    scenario = flight.scenario.replace(approach={"abort_time": 300.0}, disturbance={"kind": "none"})
+    told = replace(flight, scenario=scenario).summary()["drifts"]
+    assert [leg["name"] for leg in told] == ['leg "far"', 'leg "near"', 'leg "capture"']
+    assert sum(leg["judged"] for leg in told) == 65
+    far, _, capture = told
+    # At rest 15 m away nothing comes near within five minutes; on the way in to the port 1.6 m away something does.
+    assert far["proved_free"] > 0
+    assert capture["proved_free"] < capture["judged"]
+    assert all(leg["pushed_proved_free"] <= leg["proved_free"] for leg in told)

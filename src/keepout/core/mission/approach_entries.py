@@ -144,10 +144,13 @@ class ApproachEntry(Entry):
             which the law's field says less.
         abort: how a mission is abandoned at `faults.abort_at`; retreat: back to the hold point before the one flown to,
             guarded as ever; drift: nothing thrusts any more, and no guard can.
+        abort_time: for which a chaser that stops thrusting should touch nothing, s; every few seconds of a flight such
+            a drift is judged; unset: none is.
 
     """
 
     abort: Literal["retreat", "drift"] = "retreat"
+    abort_time: Positive | None = None
     speed_by_distance: tuple[tuple[NonNegative, Positive], ...] = ()
     distance_to: Vector | None = None
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -140,7 +141,13 @@ class Flight:
             figures["speed_rule_excess_mps"] = speed_excess(
                 self.scenario, self.record.position, self.record.velocity, self.clearance
             )
+        if self.scenario.approach.abort_time is not None:
+            figures["drifts"] = self._drifts
         return figures
+
+    @cached_property
+    def _drifts(self) -> list[dict[str, Any]]:
+        return load("flight", "drifts")(self)
 
     @property
     def legs(self) -> tuple[LegFlown, ...]:

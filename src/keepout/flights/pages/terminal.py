@@ -389,6 +389,9 @@ def flight_table(summary: Mapping[str, Any]) -> Table:
     if "legs" in summary:
         kept = sum(leg["kept"] for leg in summary["legs"])
         known["holds"], rows["holds"] = f"{kept} of {len(summary['legs'])}", "holds kept"
+    if "drifts" in summary:
+        judged, free = (sum(leg[key] for leg in summary["drifts"]) for key in ("judged", "proved_free"))
+        known["drifts_free"], rows["drifts_free"] = f"{free} of {judged}", "drifts without thrust proved free"
     if "speed_rule_excess_mps" in summary:
         rows["speed_rule_excess_mps"] = "beyond the rule of speeds, at most m/s"
     return result_table(f"Flight {summary['name']}", known, rows)
