@@ -24,6 +24,10 @@ from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64, norm
 from keepout.core.motion.relative import MotionState
 
 
+SURE = 0.75
+"""Share of a hold's tolerance within which the estimate must be for the hold to count: the rest is for its error."""
+
+
 class SpeedByDistance(eqx.Module):
     """The largest speed, m/s, by how far the chaser is: linear between the pairs given, constant beyond them.
 
@@ -112,7 +116,7 @@ class Legs(eqx.Module):
     """What is asked at each hold point, with a leading axis of legs.
 
     Attributes:
-        tolerance: the chaser is there while it is closer, m.
+        tolerance: the chaser is to stay closer, m; on board a hold counts within `SURE` times that.
         dwell: for which it stays there without a break, s.
         release: before which it does not fly on, s since the epoch.
         by_word: whether that is when somebody says "go".
@@ -179,7 +183,7 @@ class LegLaw(LawOfAnother):
         leg = jnp.where(aborted & ~progress.aborted, jnp.maximum(progress.leg - 1, 0), progress.leg)
         law = self.at_leg(leg)
         memory, order = law.step(memory, estimate)
-        there = norm(estimate.position - law.goal) < self.legs.tolerance[leg]
+        there = norm(estimate.position - law.goal) < SURE * self.legs.tolerance[leg]
         held = jnp.where(there, progress.held, 0.0)
         # Whole periods are counted up, so that a dwell of so many is not missed by their rounding.
         over = there & (held >= self.legs.dwell[leg] - 1e-6 * self.period) & (estimate.time >= self.legs.release[leg])
