@@ -23,7 +23,6 @@ from keepout.core.fields.field import Field
 from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64, norm
 from keepout.core.motion.relative import MotionState
 
-
 SURE = 0.75
 """Share of a hold's tolerance within which the estimate must be for the hold to count: the rest is for its error."""
 
