@@ -15,10 +15,10 @@ from jaxtyping import Float
 from keepout.core.audit.tube import Contact, Tube, lengths, nearest
 
 Signed = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
-_LONGEST = 64
-"""Steps in a piece of path, at first."""
-_CLEAR = 0.25
-"""A piece whose bound is above this, m, is not halved further: what the zone turned in it does not matter."""
+_LONGEST = 512
+"""Steps in a piece of path beside a zone that turns, at first."""
+_CLEAR, _NEAR = 0.25, 0.9
+"""A piece whose bound is above so many metres, and above this share of the least distance found, is not halved."""
 _ROUNDING = 1e-9
 """Metres taken off every bound."""
 
@@ -183,14 +183,17 @@ def entered(tube: Tube, region: Region, *, tolerance: float = 1e-3) -> list[Ente
     time, flights = tube.time, len(tube.position)
     stands = np.flatnonzero((time >= region.start) & (time < region.until))
     steps = np.flatnonzero((time[1:] > region.start) & (time[:-1] < region.until))
-    lower = np.full(flights, np.inf)
-    for first in range(steps[0], steps[-1] + 1, _LONGEST) if steps.size else ():
-        last = min(first + _LONGEST, steps[-1] + 1)
-        np.minimum(lower, _bounded(tube, region, first, last, tolerance), out=lower)
     found, when = np.full(flights, np.inf), np.full(flights, np.nan)
-    for k in stands:
-        away = region.distance(tube.position[:, k] @ _at(region, int(k)).T)
-        when, found = np.where(away < found, time[k], when), np.minimum(found, away)
+    if stands.size:
+        rotations = region.rotations[np.minimum(stands, len(region.rotations) - 1)]
+        turned = np.einsum("kij,fkj->fki", rotations, tube.position[:, stands])
+        away = region.distance(turned.reshape(-1, 3)).reshape(flights, -1)
+        found, when = away.min(axis=1), time[stands][away.argmin(axis=1)]
+    lower, end = np.full(flights, np.inf), int(steps[-1]) + 1 if steps.size else 0
+    length = _LONGEST if region.rate else max(end, 1)
+    for first in range(int(steps[0]), end, length) if steps.size else ():
+        last = min(first + length, end)
+        np.minimum(lower, _bounded(tube, region, first, last, found, tolerance), out=lower)
     lower, found = np.minimum(lower, found) - region.radius - _ROUNDING, found - region.radius
     return [
         Entered(region.name, _said(low, least), float(low), float(least), float(t))
@@ -208,8 +211,10 @@ def _at(region: Region, sample: int) -> Float[np.ndarray, "3 3"]:
     return region.rotations[min(sample, len(region.rotations) - 1)]
 
 
-def _bounded(tube: Tube, region: Region, first: int, last: int, tolerance: float) -> Float[np.ndarray, "flights"]:
-    """Bound each flight's distance from below over the steps from `first` until `last`."""
+def _bounded(
+    tube: Tube, region: Region, first: int, last: int, found: Float[np.ndarray, "flights"], tolerance: float
+) -> Float[np.ndarray, "flights"]:
+    """Bound each flight's distance from below over the steps from `first` until `last`; `found` is a least one, m."""
     middle = (first + last) // 2
     turned = region.rate * max(tube.time[middle] - tube.time[first], tube.time[last] - tube.time[middle])
     rotation = _at(region, middle)
@@ -218,9 +223,10 @@ def _bounded(tube: Tube, region: Region, first: int, last: int, tolerance: float
         return (region.distance(points @ rotation.T) - turned * lengths(points)) / (1.0 + turned)
 
     lower = nearest(_part(tube, first, last), nearer, tolerance=tolerance).lower
-    if turned == 0.0 or last - first == 1 or np.all(lower - region.radius > _CLEAR):
+    clear = (lower - region.radius > _CLEAR) & (lower > _NEAR * found)
+    if turned == 0.0 or last - first == 1 or np.all(clear):
         return lower
-    halves = [_bounded(tube, region, *ends, tolerance) for ends in ((first, middle), (middle, last))]
+    halves = [_bounded(tube, region, *ends, found, tolerance) for ends in ((first, middle), (middle, last))]
     return np.maximum(lower, np.minimum(*halves))
 
 
