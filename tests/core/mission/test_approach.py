@@ -41,8 +41,9 @@ def test_an_approach_holds_where_it_is_told_and_enters_nothing(flight):
     assert far.kept
     assert near.kept
     assert capture.kept
-    # Left when "go" is said, and when the dwell is over: at the first step after.
-    assert (far.left, near.held) == (131.0, 40.0)
+    # Left when "go" is said, at the first step after; and once the dwell is over, which counts from nearer on.
+    assert far.left == 131.0
+    assert 40.0 <= near.held < 55.0
     assert near.largest_error < 0.3
     assert flight.outcome.reached
     summary = flight.summary()
