@@ -120,12 +120,6 @@ class Turning:
     turned: float
 
 
-def turns(around: Surroundings, axes: str) -> bool:
-    """Whether the axes of a zone turn against the body frame."""
-    at_rest = {"body": True, "vvlh": around.scenario.attitude.kind == "vvlh"}
-    return not at_rest.get(axes, around.scenario.attitude.kind == axes)
-
-
 def turning(around: Surroundings, zone: ZoneEntry) -> Turning:
     """Follow a zone's axes from when it stands until it ends, or the flight does.
 
@@ -139,12 +133,13 @@ def turning(around: Surroundings, zone: ZoneEntry) -> Turning:
     period, rate = scenario.control.period, around.turning_rate(zone.axes)
     first = min(math.floor(zone.start / period), scenario.steps)
     last = min(math.ceil(min(end, 2.0 * scenario.duration) / period), scenario.steps + 1)
-    if not turns(around, zone.axes):
+    if not rate:
         first, last = 0, 1
     angle = rate * (max(last - first, 1) + 1) * period
     count = min(max(math.ceil(angle / _TURN), 1), _MOST_MOMENTS)
     each = max(math.ceil((last - first) / count), 1)
-    if turns(around, zone.axes) and 0.5 * rate * (each + 1) * period > 0.2:
+    turned = 0.5 * rate * (each + 1) * period
+    if turned > 0.2:
         raise ScenarioError(
             f"zone: axes {zone.axes!r} turn by {math.degrees(angle):.0f} degrees against the body while it stands; "
             f"at most {math.degrees(0.4 * _MOST_MOMENTS):.0f} are followed. Give it start and until"
@@ -153,7 +148,6 @@ def turning(around: Surroundings, zone: ZoneEntry) -> Turning:
     stands = [*range(first, max(last, first + 1), each)]
     middles = [min(step + each // 2, scenario.steps) for step in stands]
     until = [(step + each) * period for step in stands[:-1]] + [end]
-    turned = 0.5 * rate * (each + 1) * period if turns(around, zone.axes) else 0.0
     return Turning(rotations[middles], np.array(until), turned)
 
 
@@ -180,14 +174,7 @@ def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> 
 
 def zone_shape(zone: ZoneEntry) -> shapes.Shape:
     """Give the shape of a zone, in its own axes."""
-    made = {
-        "sphere": shapes.Sphere,
-        "ellipsoid": shapes.Ellipsoid,
-        "box": shapes.Box,
-        "cylinder": shapes.Cylinder,
-        "cone": shapes.Cone,
-    }[zone.shape]
-    return made(**_parts(zone))
+    return getattr(shapes, zone.shape.capitalize())(**_parts(zone))
 
 
 def corridor_shape(corridor: CorridorEntry) -> shapes.Shape:
@@ -204,13 +191,6 @@ def regions(around: Surroundings) -> list[Region]:
     """Give a scenario's zones and corridors as the audit judges them, with shapes of its own."""
     scenario, found = around.scenario, []
     for number, entry in enumerate(scenario.zone):
-        made = {
-            "sphere": judged.sphere,
-            "ellipsoid": judged.ellipsoid,
-            "box": judged.box,
-            "cylinder": judged.cylinder,
-            "cone": judged.cone,
-        }[entry.shape]
         rotations = np.eye(3)[None]
         if entry.axes != "body":
             rotations = np.asarray(
@@ -219,7 +199,7 @@ def regions(around: Surroundings) -> list[Region]:
         found.append(
             Region(
                 name=named("zone", entry, number),
-                distance=made(**_parts(entry)),
+                distance=getattr(judged, entry.shape)(**_parts(entry)),
                 radius=scenario.chaser.radius,
                 rotations=rotations,
                 rate=around.turning_rate(entry.axes),
@@ -263,7 +243,7 @@ def _swept(around: Surroundings, zone: ZoneEntry, shift: float) -> SweptCone | N
     be where a turn about the normal puts it.
     """
     scenario = around.scenario
-    if zone.shape != "cone" or any(zone.centre or ()) or not turns(around, zone.axes):
+    if zone.shape != "cone" or any(zone.centre or ()) or not around.turning_rate(zone.axes):
         return None
     period, last = scenario.control.period, ends(scenario, zone)
     rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps + 1))
@@ -359,9 +339,9 @@ class LegPlan(GuidancePlan):
         """Give a guidance that this plan made with another speed and slowing length: no other part has them."""
         assert isinstance(made, LegGuidance)
         limits = [leg.speed_limit or math.inf for leg in self.scenario.leg] or [math.inf]
-        shares = np.minimum(np.array(limits) / speed, 1.0)
+        fastest = np.minimum(limits, speed)
         own = dataclasses.replace(
-            made.own, speed=as_float64(speed * shares), slowing_length=as_float64(slowing_length * shares)
+            made.own, speed=as_float64(fastest), slowing_length=as_float64(slowing_length * (fastest / speed))
         )
         return dataclasses.replace(made, own=own)
 

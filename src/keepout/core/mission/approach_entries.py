@@ -24,7 +24,7 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "cylinder": ("centre", "axis", "radius", "length"),
     "cone": ("centre", "axis", "half_angle", "length"),
 }
-"""What each shape of a zone is made of."""
+"""What each shape of a zone is made of; `core/fields/zones.py` and `core/audit/zones.py` have shapes of these names."""
 
 
 class LegEntry(Entry):
