@@ -1,12 +1,14 @@
 """Zones, corridors and legs as pages show them, against the audit's distances and what a hand-made flight holds."""
 
 import dataclasses
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from truths.browser import shown, slide
+from truths.command_line import keepout_command
 from truths.passing import SPEED, START, STEPS, box_scenario, pass_record
 from truths.replay_page import ReplayPage
 
@@ -172,3 +174,31 @@ def test_figures_have_a_line_where_a_leg_begins(folder, scenario, record, monkey
     draw_error(folder / "error.png", flight)
     draw_motion(folder / "motion.png", flight)
     assert drawn == 2 * [0.0, float(CHANGED)]
+
+
+MISSION = """
+name = "approach"
+duration = 160.0
+target.source = "box"
+field.source = "grid"
+start.position = [10.0, 0.0, 0.0]
+leg = [{name = "hold", position = [8.0, 0.0, 0.0], dwell = 5.0}, {position = [5.0, 0.0, 0.0], tolerance = 0.2}]
+zone = [{name = "ball", shape = "sphere", centre = [0.0, 9.0, 0.0], radius = 3.0}]
+corridor = [{port = [2.0, 0.0, 0.0], axis = [1.0, 0.0, 0.0], length = 4.0, half_angle = 0.3, radius = 1.0}]
+approach.abort_time = 60.0
+require = {zones = "proved", holds = true}
+"""
+
+
+@pytest.mark.slow  # a minute
+def test_the_command_flies_an_approach_and_writes_what_came_of_it(tmp_path):
+    (tmp_path / "mission.toml").write_text(MISSION, encoding="utf-8")
+    answer = keepout_command("fly", tmp_path / "mission.toml", "-o", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["zones_entered"], summary["holds_kept"]) == ("no", True)
+    assert [leg["name"] for leg in summary["legs"]] == ['leg "hold"', "leg 1"]
+    assert [zone["name"] for zone in summary["zones"]] == ['zone "ball"', "corridor 0"]
+    assert sum(leg["judged"] for leg in summary["drifts"]) == 17
+    for page in ("index.html", "replay.html"):
+        assert "ball" in (tmp_path / "out" / page).read_text(encoding="utf-8")
