@@ -44,26 +44,29 @@ class _Wanted:
     epilog=example(
         "keepout export out/case1/case1.parquet --to oem -o chaser.oem",
         "keepout export satellite.keepout --to onnx -o satellite.onnx",
+        "keepout export mission.toml --to c -o flight",
     )
 )
 @grouped
 def export(
-    source: Annotated[Path, typer.Argument(help="A flight file (.parquet, .npz) or a field file (.keepout).")],
+    source: Annotated[Path, typer.Argument(help="A flight file (.parquet, .npz), a field file (.keepout) or a mission (.toml).")],
     *,
     to: Annotated[
-        str, typer.Option(help="Of a flight: oem, aem, czml, csv, parquet, npz, glb; of a field: onnx, glb.")
+        str,
+        typer.Option(help="Of a flight: oem, aem, czml, csv, parquet, npz, glb; of a field: onnx, glb; of a mission: c."),
     ],
-    out: Annotated[Path, into("The file to write.")],
+    out: Annotated[Path, into("The file to write; of flight code the folder.")],
     wanted: _Wanted,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Write a flight or a field for other programs, with its epoch, frames and units stated (docs/export.md)."""
+    """Write a flight, a field or a mission's flight code for other programs, its epoch, frames and units stated."""
     from keepout.flights.exchange.export import Export
 
-    with usage():
-        Export(to, **vars(wanted)).check(source)
-    require_file(out, "", "", refusal=ExchangeError)
+    if source.suffix != ".toml":
+        with usage():
+            Export(to, **vars(wanted)).check(source)
+        require_file(out, "", "", refusal=ExchangeError)
     with terminal.progress(f"export {source.name}") as progress:
         from keepout.verbs.files import export as exported
 

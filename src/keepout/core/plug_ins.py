@@ -25,6 +25,7 @@ from typing import Any
 GROUPS: Mapping[str, str] = MappingProxyType(
     {
         "mission_commands": "by name: a `MissionCommand` (flights/pages/terminal), for the command line",
+        "mission_exports": "by format: a function of a scenario and a folder that writes it there (verbs/files)",
         "mesh_readers": "by suffix: a function of a path that gives its `MeshContents` (core/geometry/mesh_files)",
         "thrusters": "require, errors, flown: functions of a scenario with a layout of thrusters (core/mission)",
         "flight": "replay, export, plot, drifts: what a `Flight` can do, given itself and more (core/mission/flight)",

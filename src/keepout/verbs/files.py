@@ -9,8 +9,11 @@ from keepout.core.errors import ExchangeError, UsageError
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.entries import TargetEntry
+from keepout.core.mission.build import Mission
 from keepout.core.mission.flight import Flight
+from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target
+from keepout.core.plug_ins import load, names
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place
 from keepout.flights.exchange.audited import Given, audit_files
@@ -98,7 +101,7 @@ def report(folder: str | Path, out: str | Path | None = None, *, progress: Progr
 
 
 def export(
-    source: Flight | FieldModel | str | Path,
+    source: Flight | FieldModel | Scenario | Mission | str | Path,
     to: str,
     out: str | Path,
     *,
@@ -106,12 +109,14 @@ def export(
     progress: Progress = silent,
     **wanted: Any,
 ) -> dict[str, Any]:
-    """Write a flight or a field for other programs, with its epoch, frames and units stated.
+    """Write a flight, a field or a mission for other programs, with its epoch, frames and units stated.
 
     Args:
-        source: a `Flight`, a flight file (.parquet, .npz), a field, or a field file (.keepout).
-        to: of a flight "oem", "aem", "czml", "csv", "parquet", "npz" or "glb"; of a field "onnx" or "glb".
-        out: the file to write; of a `Flight` a folder too.
+        source: a `Flight`, a flight file (.parquet, .npz), a field, a field file (.keepout), a mission, or a scenario
+            or its file (.toml).
+        to: of a flight "oem", "aem", "czml", "csv", "parquet", "npz" or "glb"; of a field "onnx" or "glb"; of a mission
+            "c", its flight code.
+        out: the file to write; of a `Flight` a folder too, of a mission a folder.
         seed: of the points at which an ONNX file is measured.
         progress: called as the work goes on.
         **wanted: `craft` (of an OEM: "chaser" or "target"), `xml` (OEM, AEM), `chaser_radius` (m; of a field with
@@ -125,6 +130,12 @@ def export(
 
     """
     path = Path(out)
+    if isinstance(source, Scenario | Mission) or (isinstance(source, str | Path) and Path(source).suffix == ".toml"):
+        if to not in names("mission_exports"):
+            raise ExchangeError(f"--to {to}: valid for a mission: {', '.join(names('mission_exports'))}")
+        if wanted := {name: value for name, value in wanted.items() if value}:
+            raise ExchangeError(f"--to {to}: takes no {', '.join(wanted)}")
+        return {"to": to, **load("mission_exports", to)(source, path, progress=progress)}
     if isinstance(source, Flight):
         return {"to": to, "files": [str(file) for file in export_to(source, to, path, **wanted)]}
     chosen = Export(to, **wanted)

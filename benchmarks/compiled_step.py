@@ -1,0 +1,168 @@
+"""The exported step, compiled into a library and called from Python: many steps at once, memories as arrays.
+
+Structures of C are NumPy's records with C's alignment, so that memories of Python's law and guard go in and come out.
+"""
+
+import ctypes
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from keepout.apps.flight_code.missions import Coded, sizes_of
+from keepout.core.control.law import AheadOfDelay
+
+HARNESS = Path(__file__).parent / "flight_code_harness" / "harness.c"
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
+MOST_DELAY = 8
+ESTIMATE = np.dtype(
+    [("time", "f8"), ("position", "f8", 3), ("velocity", "f8", 3), ("attitude", "f8", 4), ("angular_velocity", "f8", 3)],
+    align=True,
+)
+ORDER = np.dtype(
+    [
+        *[
+            (name, "f8", 3)
+            for name in ("force", "commanded_force", "desired_velocity", "safe_velocity", "disturbance_estimate")
+        ],
+        *[(name, "f8") for name in ("barrier", "backstepping_barrier", "lyapunov")],
+        ("control_status", "i4"),
+        ("guard_status", "i4"),
+    ],
+    align=True,
+)
+
+
+def memory_type(made: Coded) -> np.dtype:
+    """Give the record that `keepout_memory` is for a mission."""
+    sizes = sizes_of(made)
+    delay, windows, model = sizes["DELAY"], sizes["WINDOWS"], sizes["MODEL"]
+    law = np.dtype(
+        [
+            *[(name, "f8", 3) for name in ("velocity", "drift", "force")],
+            ("model", "f8", (3, model)),
+            ("pending", "f8", (delay, 3)),
+            ("started", "?"),
+        ],
+        align=True,
+    )
+    guard = np.dtype(
+        [
+            *[(name, "f8", 3) for name in ("plan_position", "plan_velocity")],
+            ("pending", "f8", (delay, 3)),
+            *[(name, "f8", 3) for name in ("expected_position", "expected_velocity")],
+            ("unexplained", "f8", (windows, 3)),
+            *[(name, "f8", 3) for name in ("seen_position", "seen_velocity")],
+            ("doubts", "f8", 2),
+            ("begun_doubts", "f8", windows),
+            ("counted", "i4"),
+            *[(name, "?") for name in ("certified", "begun", "left_out", "steady")],
+        ],
+        align=True,
+    )
+    return np.dtype([("law", law), ("guard", guard)], align=True)
+
+
+def memories_of(made: Coded, law: Any, guard: Any) -> np.ndarray:
+    """Give memories of Python's law and guard, with a leading axis, as records."""
+    delay = made.mission.scenario.guard.delay
+    pending = None
+    if isinstance(made.mission.setup.controller, AheadOfDelay):
+        law, pending = law
+    count = len(law.velocity)
+    memory = np.zeros(count, memory_type(made))
+    for name in ("velocity", "drift", "force", "started"):
+        memory["law"][name] = getattr(law, name)
+    model = np.asarray(law.observer).reshape(count, 3, -1)
+    memory["law"]["model"][:, :, : model.shape[2]] = model
+    if pending is not None:
+        memory["law"]["pending"][:, :delay] = pending
+    if made.mission.guard is None:
+        return memory
+    into = memory["guard"]
+    names = ("plan_position", "plan_velocity", "expected_position", "expected_velocity", "unexplained", "counted")
+    for name in (*names, "certified", "begun", "left_out"):
+        into[name] = getattr(guard, name)
+    if delay:
+        into["pending"][:, :delay] = guard.pending
+    into["steady"] = True
+    a = made.mission.guard.assumptions
+    into["doubts"] = [float(a.position_error), float(a.velocity_error)]
+    into["begun_doubts"] = float(a.velocity_error)
+    if guard.observed is None:
+        into["seen_position"], into["seen_velocity"] = guard.expected_position, guard.expected_velocity
+    else:
+        into["seen_position"] = guard.observed.expected_position
+        into["seen_velocity"] = guard.observed.expected_velocity
+        into["steady"] = guard.observed.steady
+        into["doubts"], into["begun_doubts"] = guard.observed.doubts.last, guard.observed.doubts.begun
+    return memory
+
+
+def estimates_of(state: Any) -> np.ndarray:
+    """Give states of motion, with a leading axis, as records."""
+    estimate = np.zeros(len(state.position), ESTIMATE)
+    for name in ESTIMATE.names or ():
+        estimate[name] = getattr(state, name)
+    return estimate
+
+
+class CompiledStep:
+    """The step of an exported mission, compiled.
+
+    Attributes:
+        made: the mission.
+
+    """
+
+    def __init__(self, made: Coded, folder: Path, *, compiler: str = "gcc", flags: tuple[str, ...] = FLAGS) -> None:
+        """Compile the folder's sources into a library.
+
+        Args:
+            made: the mission.
+            folder: that `keepout export --to c` wrote.
+            compiler: its command.
+            flags: for it.
+
+        """
+        self.made = made
+        library = folder / "harness.so"
+        sources = [str(path) for path in sorted(folder.glob("keepout_*.c"))]
+        subprocess.run(
+            [compiler, *flags, "-fPIC", "-shared", f"-I{folder}", "-o", str(library)]
+            + [*sources, str(folder / "mission_tables.c"), str(HARNESS), "-lm"],
+            check=True,
+        )
+        self._library = ctypes.CDLL(str(library))
+        self._image = (folder / "tables.bin").read_bytes()
+        answer = self._library.harness_open(self._image, ctypes.c_size_t(len(self._image)))
+        if answer:
+            raise RuntimeError(f"the image of {folder} is refused: {answer}")
+
+    def begin(self, estimate: np.ndarray, under_way: np.ndarray | None = None) -> np.ndarray:
+        """Begin at each estimate, with forces (8, 3) N under way or none: the memories."""
+        memory = np.zeros(len(estimate), memory_type(self.made))
+        sent = None if under_way is None else np.ascontiguousarray(under_way, np.float64)
+        self._library.harness_begin(
+            len(estimate), self._at(np.ascontiguousarray(estimate)), self._at(sent), self._at(memory)
+        )
+        return memory
+
+    def step(self, memory: np.ndarray, estimate: np.ndarray) -> np.ndarray:
+        """Run a step of each; the memories are changed in place."""
+        order = np.zeros(len(estimate), ORDER)
+        self._library.harness_step(
+            len(estimate), self._at(memory), self._at(np.ascontiguousarray(estimate)), self._at(order)
+        )
+        return order
+
+    def fly(self, estimate: np.ndarray, push: np.ndarray, steps: int) -> np.ndarray:
+        """Fly closed loops under a constant force (N) from each state; the states at the end."""
+        end = np.ascontiguousarray(estimate)
+        self._library.harness_fly(len(end), self._at(end), self._at(np.ascontiguousarray(push, np.float64)), steps)
+        return end
+
+    @staticmethod
+    def _at(array: np.ndarray | None) -> Any:
+        return None if array is None else array.ctypes.data_as(ctypes.c_void_p)

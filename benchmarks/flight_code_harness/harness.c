@@ -1,0 +1,51 @@
+/* The step as a library: many steps at once, for comparison with Python. */
+#include "keepout_internal.h"
+#include "mission_tables.h"
+
+static keepout_tables tables;
+static keepout_mission mission;
+
+int harness_open(const uint8_t *image, size_t size)
+{
+    const int32_t answer = keepout_open(image, size, &keepout_mission_layout, keepout_mission_digest, &tables);
+    if (answer == KEEPOUT_IMAGE_GOOD) {
+        keepout_mission_with(&tables, &mission);
+    }
+    return (int)answer;
+}
+
+void harness_begin(int count, const keepout_estimate *estimate, const double (*under_way)[3], keepout_memory *memory)
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        keepout_begin(&mission, &memory[i], &estimate[i], under_way);
+    }
+}
+
+void harness_step(int count, keepout_memory *memory, const keepout_estimate *estimate, keepout_order *order)
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        keepout_step(&mission, &memory[i], &estimate[i], &order[i]);
+    }
+}
+
+void harness_fly(int count, keepout_estimate *state, const double (*push)[3], int steps)
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        keepout_memory memory;
+        int step;
+        keepout_begin(&mission, &memory, &state[i], NULL);
+        for (step = 0; step < steps; step++) {
+            keepout_order order;
+            double force[3];
+            int axis;
+            keepout_step(&mission, &memory, &state[i], &order);
+            for (axis = 0; axis < 3; axis++) {
+                force[axis] = order.force[axis] + push[i][axis];
+            }
+            keepout_move(mission.motion, &state[i], force, mission.law->period, mission.law->mass);
+        }
+    }
+}

@@ -1,0 +1,182 @@
+"""The folder of flight code that `keepout export --to c` writes: sources, tables, a self-test and how to build them."""
+
+import dataclasses
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from keepout.apps.flight_code import c_text
+from keepout.apps.flight_code.missions import Coded, coded
+from keepout.core.control.law import Command
+from keepout.core.errors import ExchangeError
+from keepout.core.fields.field import values
+from keepout.core.flight import loop
+from keepout.core.mission.build import Mission, prepare
+from keepout.core.mission.scenario import Scenario, ScenarioLike
+from keepout.core.motion.relative import MotionState
+from keepout.core.progress import Progress, part_of, silent
+from keepout.core.whole_file import write_whole
+
+STEPS = 64
+"""Stored in the self-test."""
+_BLIND, _JUMP = (20, 21), 40
+"""Of these the steps at which the estimate is not a number, and the one at which it jumps half a metre."""
+VECTORS = ("force", "commanded_force", "desired_velocity", "safe_velocity", "disturbance_estimate")
+NUMBERS = ("barrier", "backstepping_barrier", "lyapunov")
+
+
+def write_flight_code(
+    source: ScenarioLike | Mission, out: str | Path, *, progress: Progress = silent
+) -> dict[str, Any]:
+    """Write a mission's flight code into a folder; everything is made before the first file is written.
+
+    Args:
+        source: what to fly: a `Scenario`, the path of its TOML file, its tables, or a prepared `Mission`.
+        out: the folder; files of these names in it are replaced.
+        progress: called as the work goes on.
+
+    Returns:
+        The folder, its files, the bytes of the tables, by how much the guard's packed field can be wrong (m), and
+        whether the start is under the guard's theorem with that counted.
+
+    Raises:
+        ExchangeError: something of the mission that the code cannot fly; the message names the entry.
+
+    """
+    folder = Path(out)
+    if folder.exists() and not folder.is_dir():
+        raise ExchangeError(f"{folder}: is a file; give a folder")
+    progress(0.0, "preparing")
+    mission = source if isinstance(source, Mission) else None
+    if mission is None:
+        mission = prepare(Scenario.of(source), progress=part_of(progress, 0.0, 0.5))  # pyright: ignore[reportArgumentType]
+    progress(0.5, "packing tables")
+    made = coded(mission)
+    image = c_text.image_of(made)
+    progress(0.6, "self-test: its steps are flown in Python")
+    files: dict[str, bytes] = {
+        "tables.bin": image,
+        "mission_sizes.h": c_text.sizes_text(made).encode(),
+        "mission_tables.c": c_text.tables_text(made, c_text.digest_of(image)).encode(),
+        "selftest_steps.h": _selftest(made, len(image)).encode(),
+    }
+    files |= sources()
+    files["README.md"] = _readme(made, len(image), files["README.md"].decode()).encode()
+    progress(0.95, "writing")
+    for name, content in files.items():
+        write_whole(folder / name, content, refusal=ExchangeError)
+    progress(1.0, "")
+    return {
+        "folder": str(folder),
+        "files": sorted(files),
+        "tables_bytes": len(image) + _network_bytes(made),
+        "packing_error_m": made.packing_error,
+        "start_certified": made.mission.start_certified,
+    }
+
+
+def sources() -> dict[str, bytes]:
+    """Give the files that are the same for every mission, by their names in the folder."""
+    root = resources.files("keepout.apps.flight_code") / "sources"
+    found = {item.name: item.read_bytes() for item in root.iterdir() if item.is_file()}
+    return found | {f"examples/{item.name}": item.read_bytes() for item in (root / "examples").iterdir()}
+
+
+def _network_bytes(made: Coded) -> int:
+    layers = getattr(made.law.velocity.field, "layers", None)
+    return 0 if layers is None else sum(4 * np.size(array) for array in jax.tree.leaves(layers))
+
+
+@eqx.filter_jit
+def _command(setup: Any, law: Any, guard: Any, estimate: MotionState) -> Any:
+    return loop.command(setup, law, guard, estimate)
+
+
+def stored_steps(made: Coded) -> tuple[list[MotionState], list[tuple[Any, Command, Any]]]:
+    """Fly steps in Python as the code flies them: what each is told, and its force, command and status.
+
+    They begin half a minute before the flight is nearest to the target. Estimates are wrong within what the guard is
+    declared; two are no numbers, one jumps.
+    """
+    mission = made.mission
+    log = loop.fly(mission.setup, mission.initial, mission.steps, jax.random.key(mission.scenario.seed))
+    place = max(int(np.argmin(values(made.law.velocity.field, np.asarray(log.position)))) - STEPS // 2, 0)
+    rows = {name: getattr(log, name)[place] for name in ("time", "position", "velocity", "attitude", "angular_velocity")}
+    state = MotionState(**rows)
+    law, guard = loop.memories(mission.setup, state)
+    rng, told, answered = np.random.default_rng(0), [], []
+    entry = mission.scenario.guard
+    for number in range(STEPS):
+        noise = rng.uniform(-0.5, 0.5, (2, 3)) * [[entry.position_error], [entry.velocity_error]] * (number > 0)
+        noise[0] += 0.5 if number == _JUMP else 0.0
+        estimate = state.moved(*noise)
+        if number in _BLIND:
+            estimate = dataclasses.replace(estimate, position=jnp.full(3, jnp.nan))
+        law, guard, order, force, status = _command(mission.setup, law, guard, estimate)
+        told.append(jax.tree.map(np.asarray, estimate))
+        answered.append(jax.tree.map(np.asarray, (force, order, status)))
+        state = _moved(mission.setup, state, force)
+    return told, answered
+
+
+@eqx.filter_jit
+def _moved(setup: Any, state: MotionState, force: Any) -> MotionState:
+    return setup.motion.step(state, force, setup.disturbance, setup.period, setup.mass)
+
+
+def _selftest(made: Coded, image: int) -> str:
+    told, answered = stored_steps(made)
+    lines = [
+        "/* Stored steps: what each is told, and what Python answers; written by `keepout export --to c`. */",
+        "#include <math.h>",
+        "",
+        '#include "keepout.h"',
+        "",
+        f"#define SELFTEST_STEPS {STEPS}",
+        f"#define FLIGHT_IMAGE {image}u",
+        "",
+        f"static const keepout_estimate flight_begin = {_estimate(made.mission.initial)};",
+        f"static const keepout_estimate selftest_estimates[{STEPS}] = {{",
+        *[f"    {_estimate(state)}," for state in told],
+        "};",
+        f"static const keepout_order selftest_orders[{STEPS}] = {{",
+        *[f"    {_order(*answer)}," for answer in answered],
+        "};",
+        "",
+    ]
+    # fly_mission uses the first of them, selftest the others.
+    guards = "#if defined(__GNUC__)\n#pragma GCC diagnostic ignored \"-Wunused-variable\"\n#endif\n"
+    return "\n".join(lines[:5]) + guards + "\n".join(lines[5:])
+
+
+def _estimate(state: MotionState) -> str:
+    parts = (state.time, state.position, state.velocity, state.attitude, state.angular_velocity)
+    return "{" + ", ".join(c_text.value_text(part) for part in parts) + "}"
+
+
+def _order(force: Any, order: Command, status: Any) -> str:
+    vectors = [force] + [getattr(order, "force" if name == "commanded_force" else name) for name in VECTORS[1:]]
+    parts = [*vectors, *(getattr(order, name) for name in NUMBERS), int(order.status), int(status)]
+    return "{" + ", ".join(c_text.value_text(part) for part in parts) + "}"
+
+
+def _readme(made: Coded, image: int, text: str) -> str:
+    """Fill what differs by mission into the sources' README."""
+    guard, scenario = made.mission.guard, made.mission.scenario
+    told = {
+        "MISSION": scenario.name,
+        "IMAGE_BYTES": f"{image:,}",
+        "NETWORK_BYTES": f"{_network_bytes(made):,}",
+        "PACKING_ERROR": f"{1e3 * made.packing_error:.3f} mm",
+        "EVALUATION_ERROR": "none" if guard is None else f"{1e3 * guard.evaluation_error:.3f} mm",
+        "CERTIFIED": {True: "is", False: "is not", None: "has no guard, and so is not"}[made.mission.start_certified],
+        "PERIOD": f"{scenario.control.period:g} s",
+    }
+    for name, value in told.items():
+        text = text.replace(f"@{name}@", value)
+    return text

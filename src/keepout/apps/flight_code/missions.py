@@ -1,0 +1,283 @@
+"""What of a mission goes into the flight code, what the code cannot fly, and the mission as the code flies it.
+
+The code computes in double what Python computes in double too, but for the learned field: there Python flies float32.
+`as_coded` gives the same mission with that field in double and with the guard's field as its packed tables hold it:
+then both compute the same, to rounding. The guard is told how far the packed field can be from the certified one.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from keepout.apps.flight_code.spline_tables import SplineTables, packed
+from keepout.core.control.controller import Controller
+from keepout.core.control.geodesic import GeodesicGuidance
+from keepout.core.control.guidance import StraightGuidance
+from keepout.core.control.law import AheadOfDelay
+from keepout.core.control.observer import NoObserver, SampledObserver
+from keepout.core.errors import ExchangeError
+from keepout.core.fields.grid import GridField
+from keepout.core.fields.neural import NeuralField
+from keepout.core.guard.guard import Guard, require_flyable
+from keepout.core.mission.build import Mission
+from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
+
+MOST_LAYERS, MOST_WIDTH, MOST_LEVELS = 10, 512, 8
+"""Of a learned field, and of a spline, that the code has room for."""
+
+
+class Coded(NamedTuple):
+    """A mission for the code.
+
+    Attributes:
+        mission: as the code flies it, in double and by the packed field.
+        law: its law, without the layer that looks ahead of a delay.
+        guard_tables: the guard's field, packed; None without a guard.
+        law_tables: likewise the law's, where it flies by a spline of its own; None where it shares the guard's.
+        packing_error: how far the guard's packed field can be from the certified one, m.
+
+    """
+
+    mission: Mission
+    law: Controller
+    guard_tables: SplineTables | None
+    law_tables: SplineTables | None
+    packing_error: float
+
+
+def coded(mission: Mission) -> Coded:
+    """Take a mission for the code.
+
+    Raises:
+        ExchangeError: something of it that the code cannot fly; the message names the entry.
+
+    """
+    refused = _refused(mission)
+    if refused:
+        raise ExchangeError(f"--to c: {refused}")
+    setup, guard, tables, error = mission.setup, mission.guard, None, 0.0
+    law = _law(mission)
+    field = law.velocity.field
+    if guard is not None:
+        assert isinstance(guard.field, GridField)
+        tables, held, error = packed(guard.field)
+        shared = isinstance(field, GridField) and np.array_equal(field.coefficients, guard.field.coefficients)
+        field = held if shared else field
+        assumed = jax.tree.map(float, guard.assumptions)  # a setup's are arrays
+        guard = Guard(held, guard.threshold, guard.lipschitz, assumed, guard.evaluation_error + error)
+    else:
+        shared = False
+    law_tables = None
+    if isinstance(field, NeuralField):
+        layers = jax.tree.map(lambda array: jax.device_put(np.asarray(array, np.float64)), field.layers)
+        field = dataclasses.replace(field, layers=layers)
+    elif isinstance(field, GridField) and not shared:
+        law_tables, field, _ = packed(field)
+    law = dataclasses.replace(law, velocity=dataclasses.replace(law.velocity, field=field))
+    outer = setup.controller
+    flown = dataclasses.replace(outer, law=law) if isinstance(outer, AheadOfDelay) else law
+    start_certified = mission.start_certified
+    if guard is not None:
+        start_certified = require_flyable(guard, mission.initial, law.goal) and not mission.assumptions_broken
+    setup = dataclasses.replace(setup, controller=flown, guard=guard, field=field)
+    made = dataclasses.replace(mission, setup=setup, start_certified=start_certified)
+    return Coded(made, law, tables, law_tables, error)
+
+
+def _law(mission: Mission) -> Controller:
+    outer = mission.setup.controller
+    law = outer.law if isinstance(outer, AheadOfDelay) else outer
+    assert isinstance(law, Controller)
+    return law
+
+
+def _refused(mission: Mission) -> str | None:
+    """Say what of a mission the code cannot fly, or None."""
+    scenario, setup = mission.scenario, mission.setup
+    outer = setup.controller
+    law = outer.law if isinstance(outer, AheadOfDelay) else outer
+    if scenario.leg or scenario.zone or scenario.corridor or scenario.approach.model_dump(exclude_defaults=True):
+        return "legs, zones, corridors and approach rules are not in the flight code; it flies to one goal"
+    if scenario.control.profile != "default":
+        return f'control.profile is "{scenario.control.profile}"; the flight code has the default one'
+    if not isinstance(law, Controller) or scenario.faults.law != "none":
+        return f"the law is a {type(law).__name__}; the flight code has the default profile's only"
+    if scenario.thrusters.layout != "ideal":
+        return f'thrusters.layout is "{scenario.thrusters.layout}"; the flight code gives a force: "ideal" is valid'
+    if scenario.navigation.suite != "none":
+        return f'navigation.suite is "{scenario.navigation.suite}"; the flight code is told a state: "none" is valid'
+    if setup.motion.perturbations:
+        return "orbit.j2, drag and the push of sunlight are not in the flight code; leave them out"
+    if setup.motion.held_inertially and scenario.guard.delay:
+        return 'thrusters.held_in is "inertial" and guard.delay above 0; the flight code looks ahead in the target\'s axes'
+    return _parts_refused(mission, law)
+
+
+def _parts_refused(mission: Mission, law: Controller) -> str | None:
+    """Say which part of a law or guard is none of the code's, or None."""
+    velocity, field = law.velocity, law.velocity.field
+    parts: list[tuple[str, Any, tuple[type, ...]]] = [
+        ("the law's field", field, (NeuralField, GridField)),
+        ("control.guidance", velocity.guidance, (GeodesicGuidance, StraightGuidance)),
+        ("control.observer", law.observer, (SampledObserver, NoObserver)),
+        ("the attitude", mission.setup.motion.attitude_motion, (VVLHFixed, InertiallyFixed, Tumbling)),
+    ]
+    if mission.setup.guard is not None:
+        parts += [("the guard", mission.setup.guard, (Guard,))]
+    if mission.guard is not None:
+        parts += [("the guard's field", mission.guard.field, (GridField,))]
+    for name, part, valid in parts:
+        if type(part) not in valid:
+            return f"{name} is a {type(part).__name__}; valid: {', '.join(kind.__name__ for kind in valid)}"
+    if velocity.circulation is not None or velocity.box is not None or velocity.differentiate:
+        return "control.circulation and the paper's box and feedforward are not in the flight code; leave them out"
+    if isinstance(velocity.guidance, GeodesicGuidance) and int(velocity.guidance.first):
+        return "the guidance is one of several legs; the flight code flies to one goal"
+    if isinstance(law.observer, SampledObserver) and not _by_axis(law.observer):
+        return "control.observer mixes the axes; the flight code has one model for each axis alike"
+    if isinstance(field, NeuralField):
+        widths = [len(bias) for bias in field.layers.biases[:-1]]
+        if len(widths) > MOST_LAYERS or max(widths) > MOST_WIDTH:
+            return f"the learned field has layers of {widths}; at most {MOST_LAYERS} of {MOST_WIDTH} neurons fit"
+    return None
+
+
+def _by_axis(observer: SampledObserver) -> bool:
+    """Whether an observer is the same model for each axis, apart from the others."""
+    count = len(observer.transition) // 3
+    one = observer_of_an_axis(observer)
+    whole = (observer.transition, observer.mean_output, observer.output, observer.gain)
+    return count * 3 == len(observer.transition) and all(
+        np.array_equal(np.asarray(matrix), np.kron(np.eye(3), part)) for matrix, part in zip(whole, one, strict=True)
+    )
+
+
+def observer_of_an_axis(observer: SampledObserver) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Give transition (q, q), mean output (1, q), output (1, q) and gain (q, 1) of one axis."""
+    q = len(observer.transition) // 3
+    return (
+        np.asarray(observer.transition)[:q, :q],
+        np.asarray(observer.mean_output)[:1, :q],
+        np.asarray(observer.output)[:1, :q],
+        np.asarray(observer.gain)[:q, :1],
+    )
+
+
+def directions_of(guidance: GeodesicGuidance) -> np.ndarray:
+    """Give a guidance's directions as three signed bytes a node, (nx, ny, nz, 3), without the array's padding."""
+    nodes = tuple(int(count) for count in np.asarray(guidance.nodes))
+    number = np.asarray(guidance.directions)[: nodes[0], : nodes[1], : nodes[2]]
+    return np.stack([(number << shift) >> 24 for shift in (24, 16, 8)], axis=-1).astype(np.int8)
+
+
+def numbers_of(made: Coded) -> dict[str, dict[str, Any]]:
+    """Give what the C structures hold, by structure and member (`sources/keepout.h`)."""
+    law, setup, scenario = made.law, made.mission.setup, made.mission.scenario
+    velocity, tracking, motion = law.velocity, law.tracking, setup.motion
+    assert velocity.speed is not None and velocity.speed.authority is not None and velocity.class_k.braking is not None
+    attitude, guidance = motion.attitude_motion, velocity.guidance
+    assert isinstance(guidance, GeodesicGuidance | StraightGuidance)
+    tumbling = isinstance(attitude, Tumbling)
+    told: dict[str, dict[str, Any]] = {
+        "motion": {
+            **{
+                name: getattr(motion.orbit, name)
+                for name in ("semi_major_axis", "eccentricity", "true_anomaly", "gravitational_parameter")
+            },
+            "centre_of_mass": motion.centre_of_mass,
+            "turning": 2 if tumbling else int(isinstance(attitude, InertiallyFixed)),
+            "inertia": attitude.inertia if tumbling else np.eye(3),
+            "gravity_gradient": tumbling and attitude.gravity_gradient,
+            "substeps": motion.substeps,
+        },
+        "law": {
+            "offset": velocity.offset,
+            "nominal_offset": law.nominal_offset,
+            "class_k_rate": velocity.class_k.rate,
+            "class_k_braking": velocity.class_k.braking,
+            "speed_limit": velocity.speed.limit,
+            "speed_authority": velocity.speed.authority,
+            "speed_reserve": velocity.speed.reserve,
+            **{
+                name: getattr(tracking, name)
+                for name in (
+                    *("gain", "position_weight", "lyapunov_ratio", "barrier_ratio", "estimation_weight"),
+                    *("estimation_rate", "barrier_rate", "sharpness", "acceleration_limit"),
+                )
+            },
+            "mass": law.mass,
+            "period": setup.period,
+            "force_limit": law.force_limit,
+            "delay": scenario.guard.delay,
+            "model": 0,
+            "field": int(isinstance(velocity.field, GridField)),
+        },
+        "guidance": {
+            "goal": guidance.goal,
+            "speed": guidance.speed,
+            "slowing_length": guidance.slowing_length,
+        },
+    }
+    if isinstance(law.observer, SampledObserver):
+        names = ("transition", "mean_output", "output", "model_gain")
+        parts = observer_of_an_axis(law.observer)
+        told["law"]["model"] = len(parts[0])
+        told["law"] |= {
+            name: part if name == "transition" else part.ravel() for name, part in zip(names, parts, strict=True)
+        }
+    if isinstance(guidance, GeodesicGuidance):
+        told["guidance"] |= {name: getattr(guidance, name) for name in ("origin", "spacing", "inner", "outer")}
+        told["guidance"]["nodes"] = np.asarray(guidance.nodes).astype(int)
+    told["guard"] = _guard_numbers(made.mission.guard)
+    return told
+
+
+def _guard_numbers(guard: Guard | None) -> dict[str, Any]:
+    if guard is None:
+        return {"present": False}
+    a, design, observer = guard.assumptions, guard.braking, guard.braking.observer
+    numbers = {
+        "present": True,
+        **{name: getattr(guard, name) for name in ("threshold", "lipschitz", "evaluation_error", "parts")},
+        **{
+            name: getattr(a, name)
+            for name in (
+                *("mass", "force_limit", "period", "disturbance", "drift", "fault_push", "range_limit", "speed_limit"),
+                *("position_error", "velocity_error", "valid_until", "delay"),
+            )
+        },
+        "windows": len(guard.windows),
+        "window": np.array(guard.windows),
+        **{
+            name: getattr(design, name)
+            for name in ("position_gain", "velocity_gain", "deceleration", "position_radius", "velocity_radius")
+        },
+        "observes": observer is not None,
+    }
+    if observer is not None:
+        numbers |= {
+            "observer_position": observer.position,
+            "observer_velocity": observer.velocity,
+            "error_radius": observer.error_radius,
+            "velocity_error_radius": observer.velocity_error_radius,
+            "plan_radius": observer.plan_radius,
+        }
+    return numbers
+
+
+def sizes_of(made: Coded) -> dict[str, int]:
+    """Give the sizes of the code's arrays, each at least 1."""
+    field, guard = made.law.velocity.field, made.mission.guard
+    widths = [len(bias) for bias in field.layers.biases[:-1]] if isinstance(field, NeuralField) else [1]
+    grids = [tables for tables in (made.guard_tables, made.law_tables) if tables is not None]
+    model = numbers_of(made)["law"]["model"]
+    return {
+        "LAYERS": len(widths),
+        "WIDTH": max(3, *widths),
+        "LEVELS": max([1 + len(tables.levels) for tables in grids], default=1),
+        "DELAY": max(1, made.mission.scenario.guard.delay),
+        "WINDOWS": 1 if guard is None else len(guard.windows),
+        "MODEL": max(1, model),
+    }

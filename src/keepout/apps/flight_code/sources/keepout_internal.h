@@ -1,0 +1,67 @@
+/* What the sources of Keepout share among themselves. */
+#ifndef KEEPOUT_INTERNAL_H
+#define KEEPOUT_INTERNAL_H
+
+#include "keepout.h"
+
+#define KEEPOUT_PI 3.14159265358979323846
+
+/* keepout_math.c: functions of our own, since libraries differ in the last digits of theirs. */
+bool keepout_is_nan(double x);
+bool keepout_finite(double x);
+bool keepout_finite3(const double x[3]);
+double keepout_root(double x);
+double keepout_exp(double x);
+double keepout_log(double x);
+double keepout_log1p(double x);
+double keepout_expm1(double x);
+double keepout_tanh(double x);
+double keepout_sin(double x);
+double keepout_cos(double x);
+double keepout_atan2(double y, double x);
+double keepout_acos(double x);
+double keepout_cbrt(double x);
+double keepout_maximum(double a, double b);
+double keepout_minimum(double a, double b);
+double keepout_clip(double x, double low, double high);
+int32_t keepout_to_index(double x, int32_t low, int32_t high);
+double keepout_dot(const double a[3], const double b[3]);
+double keepout_norm(const double a[3]);
+double keepout_distance(const double a[3], const double b[3]);
+void keepout_cross(const double a[3], const double b[3], double out[3]);
+void keepout_copy(const double from[3], double to[3]);
+void keepout_zero(double out[3]);
+void keepout_queue(double pending[][3], int32_t count, const double newest[3]);
+void keepout_step_ahead(const double position[3], const double velocity[3], double period, const double acceleration[3],
+                        double position_out[3], double velocity_out[3]);
+
+/* keepout_field.c */
+void keepout_into_domain(const keepout_continuation *c, const double point[3], double inside[3]);
+double keepout_continued(const keepout_continuation *c, const double point[3], double value);
+void keepout_continued_gradient(const keepout_continuation *c, const double point[3], double gradient[3]);
+double keepout_network_value_and_gradient(const keepout_network *field, const double point[3], double gradient[3]);
+
+/* keepout_spline.c */
+double keepout_spline_value(const keepout_spline *field, const double point[3]);
+double keepout_spline_value_and_gradient(const keepout_spline *field, const double point[3], double gradient[3]);
+
+/* keepout_motion.c */
+void keepout_drift(const keepout_motion *motion, const keepout_estimate *state, double drift[3]);
+void keepout_move(const keepout_motion *motion, keepout_estimate *state, const double force[3], double period,
+                  double mass);
+
+/* keepout_law.c */
+void keepout_law_begin(const keepout_mission *mission, keepout_law_memory *memory, const keepout_estimate *estimate,
+                       const double (*under_way)[3]);
+void keepout_law_step(const keepout_mission *mission, keepout_law_memory *memory, const keepout_estimate *estimate,
+                      keepout_order *order);
+void keepout_law_told(const keepout_law *law, keepout_law_memory *memory, const double force[3]);
+
+/* keepout_guard.c */
+void keepout_guard_begin(const keepout_mission *mission, keepout_guard_memory *memory, const keepout_estimate *estimate,
+                         const double (*under_way)[3]);
+int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memory *memory,
+                             const keepout_estimate *estimate, const double force[3],
+                             const double disturbance_estimate[3], double filtered[3]);
+
+#endif
