@@ -17,7 +17,13 @@ HARNESS = Path(__file__).parent / "flight_code_harness" / "harness.c"
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 MOST_DELAY = 8
 ESTIMATE = np.dtype(
-    [("time", "f8"), ("position", "f8", 3), ("velocity", "f8", 3), ("attitude", "f8", 4), ("angular_velocity", "f8", 3)],
+    [
+        ("time", "f8"),
+        ("position", "f8", 3),
+        ("velocity", "f8", 3),
+        ("attitude", "f8", 4),
+        ("angular_velocity", "f8", 3),
+    ],
     align=True,
 )
 ORDER = np.dtype(
@@ -128,12 +134,9 @@ class CompiledStep:
         """
         self.made = made
         library = folder / "harness.so"
-        sources = [str(path) for path in sorted(folder.glob("keepout_*.c"))]
-        subprocess.run(
-            [compiler, *flags, "-fPIC", "-shared", f"-I{folder}", "-o", str(library)]
-            + [*sources, str(folder / "mission_tables.c"), str(HARNESS), "-lm"],
-            check=True,
-        )
+        sources = [*sorted(folder.glob("keepout_*.c")), folder / "mission_tables.c", HARNESS]
+        command = [compiler, *flags, "-fPIC", "-shared", f"-I{folder}", "-o", str(library), *map(str, sources), "-lm"]
+        subprocess.run(command, check=True)
         self._library = ctypes.CDLL(str(library))
         self._image = (folder / "tables.bin").read_bytes()
         answer = self._library.harness_open(self._image, ctypes.c_size_t(len(self._image)))

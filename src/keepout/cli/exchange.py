@@ -49,11 +49,13 @@ class _Wanted:
 )
 @grouped
 def export(
-    source: Annotated[Path, typer.Argument(help="A flight file (.parquet, .npz), a field file (.keepout) or a mission (.toml).")],
+    source: Annotated[
+        Path, typer.Argument(help="A flight file (.parquet, .npz), a field file (.keepout) or a mission (.toml).")
+    ],
     *,
     to: Annotated[
         str,
-        typer.Option(help="Of a flight: oem, aem, czml, csv, parquet, npz, glb; of a field: onnx, glb; of a mission: c."),
+        typer.Option(help="Of a flight: oem, aem, czml, csv, parquet, npz, glb; of a field: onnx, glb; a mission: c."),
     ],
     out: Annotated[Path, into("The file to write; of flight code the folder.")],
     wanted: _Wanted,

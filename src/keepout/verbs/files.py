@@ -8,8 +8,8 @@ from typing import Any
 from keepout.core.errors import ExchangeError, UsageError
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.record import FlightRecord
-from keepout.core.mission.entries import TargetEntry
 from keepout.core.mission.build import Mission
+from keepout.core.mission.entries import TargetEntry
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target

@@ -101,7 +101,7 @@ def _network(field: NeuralField) -> list[str]:
             if not np.array_equal(values, values.astype(np.float32)):  # they come from float32
                 raise AssertionError("a weight is no float32 number")
             lines += [f"static const float {name}_{number}[{len(values)}] = {{"]
-            lines += _wrapped([f"{_number(value)}f" for value in values]) + ["};"]
+            lines += [*_wrapped([f"{_number(value)}f" for value in values]), "};"]
     hidden = len(weights) - 1
     members = {
         "layers": hidden,
@@ -152,7 +152,11 @@ def value_text(value: Any) -> str:
     array = np.asarray(value)
     if array.ndim == 0:
         return _number(float(array))
-    return "{" + ", ".join(value_text(int(row) if array.dtype.kind in "iu" and array.ndim == 1 else row) for row in array) + "}"
+    return (
+        "{"
+        + ", ".join(value_text(int(row) if array.dtype.kind in "iu" and array.ndim == 1 else row) for row in array)
+        + "}"
+    )
 
 
 def _number(value: float) -> str:

@@ -106,7 +106,9 @@ def stored_steps(made: Coded) -> tuple[list[MotionState], list[tuple[Any, Comman
     mission = made.mission
     log = loop.fly(mission.setup, mission.initial, mission.steps, jax.random.key(mission.scenario.seed))
     place = max(int(np.argmin(values(made.law.velocity.field, np.asarray(log.position)))) - STEPS // 2, 0)
-    rows = {name: getattr(log, name)[place] for name in ("time", "position", "velocity", "attitude", "angular_velocity")}
+    rows = {
+        name: getattr(log, name)[place] for name in ("time", "position", "velocity", "attitude", "angular_velocity")
+    }
     state = MotionState(**rows)
     law, guard = loop.memories(mission.setup, state)
     rng, told, answered = np.random.default_rng(0), [], []
@@ -150,7 +152,7 @@ def _selftest(made: Coded, image: int) -> str:
         "",
     ]
     # fly_mission uses the first of them, selftest the others.
-    guards = "#if defined(__GNUC__)\n#pragma GCC diagnostic ignored \"-Wunused-variable\"\n#endif\n"
+    guards = '#if defined(__GNUC__)\n#pragma GCC diagnostic ignored "-Wunused-variable"\n#endif\n'
     return "\n".join(lines[:5]) + guards + "\n".join(lines[5:])
 
 

@@ -111,7 +111,7 @@ def _refused(mission: Mission) -> str | None:
     if setup.motion.perturbations:
         return "orbit.j2, drag and the push of sunlight are not in the flight code; leave them out"
     if setup.motion.held_inertially and scenario.guard.delay:
-        return 'thrusters.held_in is "inertial" and guard.delay above 0; the flight code looks ahead in the target\'s axes'
+        return 'thrusters.held_in is "inertial" and guard.delay above 0; the flight code looks ahead in body axes only'
     return _parts_refused(mission, law)
 
 
@@ -176,7 +176,9 @@ def numbers_of(made: Coded) -> dict[str, dict[str, Any]]:
     """Give what the C structures hold, by structure and member (`sources/keepout.h`)."""
     law, setup, scenario = made.law, made.mission.setup, made.mission.scenario
     velocity, tracking, motion = law.velocity, law.tracking, setup.motion
-    assert velocity.speed is not None and velocity.speed.authority is not None and velocity.class_k.braking is not None
+    assert velocity.speed is not None
+    assert velocity.speed.authority is not None
+    assert velocity.class_k.braking is not None
     attitude, guidance = motion.attitude_motion, velocity.guidance
     assert isinstance(guidance, GeodesicGuidance | StraightGuidance)
     tumbling = isinstance(attitude, Tumbling)

@@ -3,17 +3,18 @@
 A block of `GridField` stores 11³ numbers, of which its neighbours store all but 8³ as well. Here each block stores its
 8³ alone, as how much they differ from what they inherit of the coarser spline, in whole numbers of a unit of its own.
 What is lost is at most half a unit; `packed` gives the field of the numbers that are left, so that Python flies the
-very one that the C code has, and by how much its values may differ. The C code undoes it in the same order of operations
+very one that the C code has, and by how much its values may differ. The C code undoes it in the same order of sums
 (`sources/keepout_spline.c`).
 """
 
 import dataclasses
+import itertools
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-import jax
 from keepout.core.errors import ExchangeError
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.grid import BLOCK, STORED, GridField
@@ -116,7 +117,7 @@ def packed(field: GridField) -> tuple[SplineTables, GridField, float]:
 
 
 def _require_tree(tables: list[np.ndarray]) -> None:
-    for finer, coarser in zip(tables, tables[1:], strict=False):
+    for finer, coarser in itertools.pairwise(tables):
         places = np.argwhere(finer >= 0)
         if np.any(coarser[tuple((places // 2).T)] < 0) or tuple(finer.shape) != tuple(2 * n for n in coarser.shape):
             raise ExchangeError("flight code: the guard's field has blocks that lie in no coarser one; they must")
@@ -146,7 +147,7 @@ def _coarsest(
     table: Int[np.ndarray, "a b c"],
     needed: Bool[np.ndarray, "nx ny nz"],
 ) -> tuple[tuple[np.ndarray, ...], float]:
-    """Give bricks of the coarsest level's nodes: numbers, bases, scales, values; its coefficients then; the error, m."""
+    """Give bricks of the coarsest level's nodes: numbers, bases, scales, values; its coefficients; the error, m."""
     nodes = np.zeros(needed.shape, np.float32)
     for place in np.ndindex(*table.shape):
         nodes[tuple(slice(BLOCK * i, BLOCK * i + STORED) for i in place)] = before[table[place]]
@@ -225,7 +226,7 @@ def _halos(after: np.ndarray, table: Int[np.ndarray, "a b c"], places: Int[np.nd
 def inherited_in_order(
     parents: Float32[np.ndarray, "m 11 11 11"], blocks: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "m 11 11 11"]:
-    """Give each block's coefficients as of its parent's spline, with the sums in the order of the C code: axis by axis."""
+    """Give each block's coefficients as of its parent's spline, summed in the order of the C code: axis by axis."""
     rows = np.arange(len(blocks))
     half = parents.astype(np.float64)
     for axis in range(3):

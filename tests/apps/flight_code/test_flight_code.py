@@ -1,0 +1,171 @@
+"""The exported C: what it refuses, and that compiled it answers as Python does, to rounding, statuses and all."""
+
+import dataclasses
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import compiled_step
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import keepout
+from keepout.apps.flight_code import c_text
+from keepout.apps.flight_code.folder import sources, write_flight_code
+from keepout.apps.flight_code.missions import Coded, coded
+from keepout.core.errors import ExchangeError
+from keepout.core.fields.field import values
+from keepout.core.flight import loop
+from keepout.core.mission.build import Mission, prepare
+from keepout.core.mission.scenario import Scenario
+
+pytestmark = pytest.mark.long
+compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc here")
+ERRORS = {"guard": {"delay": 1, "position_error": 0.03, "velocity_error": 0.002}}
+
+
+@pytest.fixture(scope="module")
+def mission() -> Mission:
+    return prepare(Scenario().replace(**ERRORS))
+
+
+@pytest.fixture(scope="module")
+def made(mission: Mission) -> Coded:
+    return coded(mission)
+
+
+@pytest.fixture(scope="module")
+def folder(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("flight_code") / "flight"
+    summary = write_flight_code(mission, out)
+    assert set(summary["files"]) == {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    assert summary["tables_bytes"] < 3.5e6
+    assert "@" not in (out / "README.md").read_text(encoding="utf-8")
+    return out
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"orbit": {"j2": True}}, "orbit.j2"),
+        ({"control": {"observer": "printed"}}, "control.observer"),
+        ({"faults": {"law": "bang-bang"}}, "law"),
+    ],
+)
+def test_a_mission_that_the_code_cannot_fly_is_refused_by_name(changes: dict, named: str, tmp_path: Path):
+    out = tmp_path / "flight"
+    with pytest.raises(ExchangeError, match=named):
+        write_flight_code(Scenario().replace(**changes), out)
+    assert not out.exists()
+
+
+def test_the_packed_field_differs_by_no_more_than_the_guard_is_told(mission: Mission, made: Coded):
+    before, after = mission.guard, made.mission.guard
+    assert before is not None
+    assert after is not None
+    assert after.evaluation_error == before.evaluation_error + made.packing_error
+    assert 0.0 < made.packing_error < 5e-4
+    radius = float(before.field.continuation.outer_radius)  # pyright: ignore[reportAttributeAccessIssue]
+    places = np.random.default_rng(0).uniform(-radius, radius, (20_000, 3))
+    apart = np.abs(values(after.field, places) - values(before.field, places))
+    assert 0.1 * made.packing_error < apart.max() <= made.packing_error
+
+
+@compiler
+def test_it_compiles_silently_and_passes_its_self_test(folder: Path):
+    built = subprocess.run(["make", "check"], cwd=folder, capture_output=True, text=True)
+    assert built.returncode == 0, built.stdout + built.stderr
+    assert "warning" not in built.stderr
+    assert " 0 numbers that Python gives otherwise" in built.stdout
+    flown = subprocess.run(["./fly_mission", "tables.bin", "5"], cwd=folder, capture_output=True, text=True)
+    assert len(flown.stdout.splitlines()) == 7
+
+
+@compiler
+def test_a_build_that_rounds_otherwise_is_refused(folder: Path, tmp_path: Path):
+    program = tmp_path / "selftest"
+    files = [str(path) for path in sorted(folder.glob("keepout_*.c"))]
+    files += [str(folder / name) for name in ("mission_tables.c", "selftest.c")]
+    # Compiled as if sums could be taken in another order, which the header cannot see.
+    flags = ["-O3", "-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"]
+    subprocess.run(["gcc", "-std=c99", *flags, "-w", "-o", str(program), *files, "-lm"], check=True)
+    answer = subprocess.run([str(program), str(folder / "tables.bin")], capture_output=True, text=True)
+    assert answer.returncode == 1
+    assert "rounds otherwise" in answer.stderr
+
+
+@compiler
+@pytest.mark.parametrize(("place", "answer"), [(0, 2), (8, 3), (30, 4), (20, 4), (-1, 4), ("short", 1), ("other", 5)])
+def test_an_image_that_is_damaged_is_refused(folder: Path, made: Coded, tmp_path: Path, place: int | str, answer: int):
+    for path in folder.iterdir():
+        if path.is_file():
+            shutil.copy(path, tmp_path)
+    image = bytearray((tmp_path / "tables.bin").read_bytes())
+    if place == "short":
+        image = image[:-1]
+    elif place == "other":
+        text = (tmp_path / "mission_tables.c").read_text(encoding="utf-8")
+        (tmp_path / "mission_tables.c").write_text(text.replace(f"0x{c_text.digest_of(image):08X}u", "1u"))
+    else:
+        image[place] ^= 1
+    (tmp_path / "tables.bin").write_bytes(image)
+    with pytest.raises(RuntimeError, match=f"refused: {answer}"):
+        compiled_step.CompiledStep(made, tmp_path, flags=("-std=c99", "-O0"))
+
+
+@compiler
+def test_steps_answer_as_python_does_whatever_is_told(made: Coded, folder: Path):
+    code, setup, rng = compiled_step.CompiledStep(made, folder), made.mission.setup, np.random.default_rng(1)
+    count = 64
+    start = jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *jnp.shape(a))), made.mission.initial)
+    places = rng.normal(size=(count, 3))
+    places *= rng.uniform(1.0, 14.0, (count, 1)) / np.linalg.norm(places, axis=1)[:, None]
+    speeds = jnp.asarray(rng.normal(0, 0.03, (count, 3)))
+    state = dataclasses.replace(start, position=jnp.asarray(places), velocity=speeds)
+    memory = jax.jit(jax.vmap(lambda e: loop.memories(setup, e)))(state)
+
+    @jax.jit
+    @jax.vmap
+    def step(memory, estimate, truth):
+        law, guard, order, force, status = loop.command(setup, *memory, estimate)
+        moved = setup.motion.step(truth, force, setup.disturbance, setup.period, setup.mass)
+        return (law, guard), (force, order, status), moved
+
+    begun = code.begin(compiled_step.estimates_of(state))
+    seen = set()
+    for number in range(60):
+        told = compiled_step.memories_of(made, *memory)
+        if number == 0:
+            for part in told.dtype.names or ():
+                for name in told[part].dtype.names:
+                    np.testing.assert_allclose(begun[part][name], told[part][name], rtol=1e-11, atol=1e-13)
+        wrong = rng.uniform(-1.0, 1.0, (2, count, 3)) * np.array([0.02, 1e-3])[:, None, None]
+        wrong[0] += rng.normal(0, 0.5, (count, 3)) * (rng.random((count, 1)) < 0.05)
+        wrong[0, rng.random(count) < 0.03] = np.nan
+        estimate = dataclasses.replace(state, position=state.position + wrong[0], velocity=state.velocity + wrong[1])
+        far = jnp.asarray(10.0 ** rng.uniform(0, 250, (count, 1)) * (rng.random((count, 1)) < 0.03))
+        estimate = dataclasses.replace(estimate, position=jnp.where(far > 0, far, estimate.position))
+        order = code.step(told, compiled_step.estimates_of(estimate))
+        memory, (force, answer, status), state = step(memory, estimate, state)
+        np.testing.assert_array_equal(order["guard_status"], status)
+        np.testing.assert_array_equal(order["control_status"], answer.status)
+        np.testing.assert_allclose(order["force"], force, rtol=1e-10, atol=1e-13)
+        np.testing.assert_allclose(order["barrier"], answer.barrier, rtol=1e-11, atol=1e-12)
+        after = compiled_step.memories_of(made, *memory)
+        for part in after.dtype.names or ():
+            for name in after[part].dtype.names:
+                np.testing.assert_allclose(told[part][name], after[part][name], rtol=1e-10, atol=1e-13)
+        seen |= set(np.asarray(status).tolist())
+    assert {status & 3 for status in seen} == {0, 1, 2, 3}
+    assert len(seen) > 12
+
+
+def test_sources_name_functions_that_there_are():
+    """Each comment that names a Python file names one that is there."""
+    root = Path(keepout.__file__).parent
+    for name, content in sources().items():
+        for path in re.findall(r"\b((?:core|control|guard|fields|motion|apps)/[a-z_/]+\.py)", content.decode()):
+            assert (root / path).is_file() or (root / "core" / path).is_file(), f"{name}: {path}"
