@@ -139,9 +139,12 @@ class CompiledStep:
         subprocess.run(command, check=True)
         self._library = ctypes.CDLL(str(library))
         self._image = (folder / "tables.bin").read_bytes()
-        answer = self._library.harness_open(self._image, ctypes.c_size_t(len(self._image)))
-        if answer:
+        if answer := self.opened(self._image):
             raise RuntimeError(f"the image of {folder} is refused: {answer}")
+
+    def opened(self, image: bytes) -> int:
+        """Open an image: a KEEPOUT_IMAGE_*, 0 if it is good."""
+        return self._library.harness_open(image, ctypes.c_size_t(len(image)))
 
     def begin(self, estimate: np.ndarray, under_way: np.ndarray | None = None) -> np.ndarray:
         """Begin at each estimate, with forces (8, 3) N under way or none: the memories."""
