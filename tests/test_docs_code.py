@@ -13,7 +13,7 @@ pytestmark = pytest.mark.long
 
 ELSEWHERE = {"README.md", "docs/export.md", "docs/clusters.md"}
 """Run by tests/test_commands.py and tests/flights/exchange; the last needs what no test has: a SLURM cluster."""
-QUICK = {"docs/mapping.md", "docs/reading-a-certificate.md", "docs/seeable.md"}
+QUICK = {"docs/reading-a-certificate.md"}
 QUICKER = {
     # Its field, instead of one that is learned as README has it: the grid of exact distances.
     "docs/tutorial.md": [
