@@ -40,6 +40,11 @@ def test_the_tables_of_results_are_of_this_version():
     assert answer.returncode == 0, answer.stderr
 
 
+def test_the_reference_of_entries_and_commands_is_of_this_version():
+    answer = subprocess.run([sys.executable, str(DOCS / "reference.py"), "--check"], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+
+
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_links_and_pictures_are_there_and_blocks_have_a_language(page: Path):
     text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
