@@ -33,7 +33,7 @@ QUICKER = {
         # A cluster that is not there, and no waiting for it.
         ("from dask_jobqueue import SLURMCluster", "from unittest.mock import MagicMock as SLURMCluster"),
         ("while True:\n    time.sleep(60)\n", ""),
-        ("below=0.0", "below=0.3, runs=2, flights=64, most_levels=2"),
+        ("below=0.0", "below=0.3, runs=2, flights=64"),
     ],
     "docs/explore.md": [("examples/explore.toml", "mission.toml")],
     "docs/inspection.md": [
