@@ -13,7 +13,7 @@ pytestmark = pytest.mark.long
 
 ELSEWHERE = {"README.md"}
 """Run by tests/test_commands.py."""
-QUICK = {"docs/reading-a-certificate.md"}
+QUICK = {"docs/my-mesh.md", "docs/my-mission.md"}
 QUICKER = {
     # Its field, instead of one that is learned as README has it: the grid of exact distances.
     "docs/tutorial.md": [
@@ -22,6 +22,10 @@ QUICKER = {
             "guard_field(target, 0.5)",
         ),
         ("duration=500.0", "duration=60.0"),
+    ],
+    "docs/reproduce.md": [("duration=300.0", "duration=240.0"), ("duration=500.0", "duration=60.0"), ("range(20)", "range(1)")],
+    "docs/my-mesh.md": [
+        ('keepout.fit("mission.toml", certify=True, out="satellite.keepout")', 'keepout.load_shipped("intelsat30")')
     ],
     "docs/own-parts.md": [("num_envs=1024, guard=False", "num_envs=1"), ("duration=300.0", "duration=240.0")],
     "docs/flights-out.md": [("import pandas\n", "import pytest\npandas = pytest.importorskip('pandas')\n")],
