@@ -23,7 +23,11 @@ QUICKER = {
         ),
         ("duration=500.0", "duration=60.0"),
     ],
-    "docs/reproduce.md": [("duration=300.0", "duration=240.0"), ("duration=500.0", "duration=60.0"), ("range(20)", "range(1)")],
+    "docs/reproduce.md": [
+        ("duration=300.0", "duration=240.0"),
+        ("duration=500.0", "duration=60.0"),
+        ("range(20)", "range(1)"),
+    ],
     "docs/my-mesh.md": [
         ('keepout.fit("mission.toml", certify=True, out="satellite.keepout")', 'keepout.load_shipped("intelsat30")')
     ],
