@@ -19,7 +19,7 @@ AS_USED = $(shell grep -rlw mark.as_used tests --include='test_*.py')
 # Without them each start of Python would compile 1,800 modules of the libraries anew: 5 s a command.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo core check test test-all lint style types quick-tests as-used-tests other-tests format install docs shipped replay-bundle basilisk clean
+.PHONY: help demo core check test test-all lint style types quick-tests as-used-tests other-tests format install docs shipped replay-bundle basilisk release-check clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
@@ -32,6 +32,7 @@ help:
 	@echo "make shipped   remake the learned fields that ship with the package"
 	@echo "make replay-bundle  bundle the replay's viewer into the package again (needs Node.js and npm)"
 	@echo "make basilisk  fly law and guard as flight software in Basilisk, in an environment of its own"
+	@echo "make release-check  build wheel and sdist, check them, and run the first tutorial from the wheel alone"
 	@echo "make clean     remove the environment and all outputs"
 
 # uv, where it is there, installs several times faster than pip.
@@ -123,6 +124,10 @@ basilisk: .venv-basilisk/.installed
 	$(PYTHON) -m venv .venv-basilisk
 	.venv-basilisk/bin/pip install --quiet --editable '.[basilisk]'
 	@touch $@
+
+# With RELEASE="--quick --python python3.12" a rough shape, and another Python.
+release-check:
+	$(PYTHON) tests/release_check.py $(RELEASE)
 
 replay-bundle:
 	cd viewer && npm ci && npm run build

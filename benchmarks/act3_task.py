@@ -1,7 +1,7 @@
 """The public inspection task of act3, written from its published numbers: where it starts, and when a point is seen.
 
 Units are m, s, N, kg; positions and directions are in VVLH. What its documents and its code say differently is one
-`Task` each; docs/act3-inspection.md lists the differences.
+`Task` each; docs/reproduce.md lists the differences.
 """
 
 import dataclasses

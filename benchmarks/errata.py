@@ -1,4 +1,4 @@
-"""Measure what each misprint or slip of the source paper does: the effect column of docs/from-paper-to-code.md.
+"""Measure what each misprint or slip of the source paper does: the effect column of docs/control.md.
 
     python benchmarks/errata.py --json
 

@@ -1,6 +1,6 @@
 """What the default profile reaches: certified bounds, distance of the certified level, sizes and times, per target.
 
-Run: python benchmarks/fits.py intelsat30 ../shared/meshes/hubble.glb --fields FOLDER [--json FILE]
+Run: python benchmarks/fits.py intelsat30 satellite.glb --fields FOLDER [--json FILE]
      python benchmarks/fits.py --seeds 3 --profile quick intelsat30 --fields FOLDER [--json FILE]
      python benchmarks/fits.py --second intelsat30 --fields FOLDER [--json FILE]
 

@@ -1,13 +1,16 @@
 """The guard's field of a target in numbers: what is proved of it, and what a search finds.
 
-Run: python benchmarks/guard_field.py (names of built-in targets after it choose some). Each field is built anew, for a
-chaser of 0.5 m, so the cache is neither read nor written.
+Run: python benchmarks/guard_field.py --out benchmarks/results/guard_field.json
+
+Names of built-in targets choose some. Each field is built anew, for a chaser of 0.5 m, so the cache is neither read nor
+written.
 """
 
-import sys
 import time
+from pathlib import Path
 
 import numpy as np
+from kept_rows import command, keep, tell
 
 from keepout.core.fields.field import values, values_and_gradients
 from keepout.core.fields.grid import BLOCK
@@ -53,9 +56,13 @@ def largest_jump(field, generator):
     return np.abs(values(field, points + aside) - values(field, points - aside)).max() - 2e-10
 
 
-def main(names):
-    """Print the numbers of each target."""
-    for name in names or ("intelsat30", "tiangong", "iss"):
+def main():
+    """Print the numbers of each target, and keep them."""
+    parser = command(__doc__)
+    parser.add_argument("targets", nargs="*", default=["intelsat30", "tiangong", "iss"], help="built-in targets")
+    parser.add_argument("--out", type=Path, help="also keep the rows in this file")
+    given, rows = parser.parse_args(), []
+    for name in given.targets:
         target, generator = Target.load(name), np.random.default_rng(0)
         times = [time.perf_counter()]
         solid = OffsetSolid.build(target.distance)
@@ -68,17 +75,23 @@ def main(names):
         proof, field = model.certificate(RADIUS), model.field
         spline = joined_spline(field)
         rough = float(slopes_by_differences(spline.coefficients, spline.spacing).max())
-        print(
-            f"{name}: L {proof.gradient_bound:.4f} (search {steepest(field, target.distance, generator):.4f}; "
-            f"differences of coefficients alone {rough:.3f}), e_h {proof.error_bound:+.4f} m (largest found "
-            f"{proof.sampled_maximum:+.4f} m), threshold {RADIUS + proof.error_bound:.4f} m, j "
-            f"{proof.evaluation_error:.2g} m (largest jump found {largest_jump(field, generator):.2g} m, bound 2j), "
-            f"lowering {float(field.continuation.allowance):.3f} m; solid, grid, certificate "
-            + ", ".join(f"{seconds:.1f}" for seconds in np.diff(times))
-            + " s",
-            flush=True,
-        )
+        row = {
+            "target": name,
+            "spacing_m": spacing,
+            "gradient_bound": proof.gradient_bound,
+            "largest_slope_found": float(steepest(field, target.distance, generator)),
+            "of_differences_alone": rough,
+            "error_bound_m": proof.error_bound,
+            "found_m": proof.sampled_maximum,
+            "threshold_m": RADIUS + proof.error_bound,
+            "evaluation_error_m": proof.evaluation_error,
+            "largest_jump_found_m": float(largest_jump(field, generator)),
+            "allowance_m": float(field.continuation.allowance),
+        }
+        rows.append(row | dict(zip(("solid_s", "grid_s", "certify_s"), np.diff(times).tolist())))
+    tell(rows, given)
+    keep(rows, given.out)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

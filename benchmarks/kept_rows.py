@@ -73,6 +73,12 @@ def tell(rows, given, columns=None):
         show(rows, columns or rows[0])
 
 
+def keep(rows, path):
+    """Write rows into a file as a list; nothing where no file is asked for."""
+    if path is not None:
+        write_whole(path, "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
+
+
 def on_one_line(fraction, message):
     """Print progress on one line of standard error."""
     print(f"\r{100 * fraction:3.0f} % {message:<100.100}", end="", file=sys.stderr, flush=True)

@@ -1,6 +1,6 @@
 """The slope of any map's field, proved: ‖∇f‖ ≤ L for the cubic B-spline of any 1-Lipschitz node data.
 
-What is proved and why it is enough is in docs/mapping-field.md, "Its slope". In short, in units of h:
+What is proved and why it is enough is in docs/mapping.md, "Its slope". In short, in units of h:
 
 - By reflection a cell's gradients are those of its corner [0, ½]³. There ∇f = Σ c_i ∇w_i is a polynomial, and lies in
   the convex hull of its 64 Bernstein control vectors G_k = Σ c_i g_ik. By permutation those with k₁ ≤ k₂ ≤ k₃ stand for

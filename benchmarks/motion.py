@@ -1,14 +1,16 @@
 """Error of one Runge–Kutta step a second, against steps 32 times finer, after 3000 s; and the time a step takes.
 
-python benchmarks/motion.py
+python benchmarks/motion.py --out benchmarks/results/motion.json
 """
 
 import time
+from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from kept_rows import command, keep, tell
 
 from keepout.core.motion.attitude import Tumbling, VVLHFixed
 from keepout.core.motion.disturbance import NoDisturbance
@@ -34,6 +36,9 @@ def seconds(motion, state):
 
 
 def main():
+    parser = command(__doc__)
+    parser.add_argument("--out", type=Path, help="also keep the rows in this file")
+    given = parser.parse_args()
     position = np.array([6.0, -4.0, 7.0])
     cases = {"VVLH-fixed, e = 0": (0.0, VVLHFixed(), np.array([0.01, 0.0, -0.01]))}
     cases["VVLH-fixed, e = 0.1"] = (0.1, VVLHFixed(), np.array([0.01, 0.0, -0.01]))
@@ -41,7 +46,7 @@ def main():
         omega = np.deg2rad(rate) * np.array([0.6, -0.48, 0.64])
         # at rest in inertial space, so that the chaser stays near whatever the tumbling
         cases[f"tumbling at {rate} deg/s"] = (0.0, Tumbling(omega, INERTIA), -np.cross(omega, position))
-    print(f"{'target':<24} {'error, 1 substep':>17} {'error, 4 substeps':>18} {'us/step':>8}")
+    rows = []
     for name, (eccentricity, law, velocity) in cases.items():
         ends = []
         for substeps in (1, 4, 32):
@@ -51,7 +56,9 @@ def main():
             if substeps == 1:
                 microseconds = 1e6 * min(seconds(motion, state) for _ in range(5)) / STEPS
         one, four = (float(np.linalg.norm(end - ends[2])) for end in ends[:2])
-        print(f"{name:<24} {one:>15.1e} m {four:>16.1e} m {microseconds:>8.1f}")
+        rows.append({"target": name, "error_1_substep_m": one, "error_4_substeps_m": four, "step_us": microseconds})
+    tell(rows, given)
+    keep(rows, given.out)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,16 @@
 """What is known of ‖∇f̃‖ of a field: the largest found by search, bounds over cubes of many sizes, and the proof.
 
 Run: python benchmarks/slopes.py intelsat30 (a shipped field's name, or a .keepout file of a built-in target).
-With --table only the cubes are shown; the proof takes minutes.
+With --table only the cubes are shown, and --out keeps them; the proof takes minutes.
 """
 
 import argparse
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
+from kept_rows import keep
 
 from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values_and_gradients
@@ -24,6 +26,8 @@ STAND_OFFS = (0.0, 0.5, 2.0, 5.0)
 
 
 def cube_bounds(field, distance):
+    """Print bounds of the slope over cubes, and give them: a row a distance and a side."""
+    rows = []
     rng = np.random.default_rng(0)
     prepared = Prepared.of(Network.of(field.layers, field.beta))
     centre, scale = np.asarray(field.continuation.centre), float(field.scale)
@@ -41,10 +45,14 @@ def cube_bounds(field, distance):
             pieces = range(0, len(x), 128)
             bound = np.concatenate([slope_bounds(prepared, x[i : i + 128], half[i : i + 128]) for i in pieces])
             micro = 1e6 * (time.process_time() - start) / len(x)
+            rows.append({"stand_off_m": stand_off, "largest_slope": float(slope.max()), "side_m": side})
+            rows[-1] |= {"median": float(np.median(bound)), "p99": float(np.quantile(bound, 0.99))}
+            rows[-1] |= {"largest": float(bound.max())}
             print(
                 f"    side {side:5g} m: {np.median(bound):8.2f} {np.quantile(bound, 0.99):8.2f} {bound.max():8.2f}"
                 f"   ({micro:.0f} µs of processor time a cube)"
             )
+    return rows
 
 
 def main():
@@ -52,10 +60,11 @@ def main():
     parser.add_argument("field")
     parser.add_argument("--clearance", type=float, default=0.0)
     parser.add_argument("--table", action="store_true")
+    parser.add_argument("--out", type=Path, help="keep the bounds over cubes in this file")
     arguments = parser.parse_args()
     model = FieldModel.load(arguments.field) if arguments.field.endswith(".keepout") else load_shipped(arguments.field)
     distance = Target.load(model.target_name).distance
-    cube_bounds(model.field, distance)
+    keep(cube_bounds(model.field, distance), arguments.out)
     if arguments.table:
         return
     found = steepest_found(model.field, distance, arguments.clearance, np.random.default_rng(1))

@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from kept_rows import command, tell
+from kept_rows import command, keep, tell
 
 from keepout.core.control import profiles
 from keepout.core.control.design import Operation
@@ -172,6 +172,7 @@ def main():
     parser.add_argument("--states", type=int, default=400)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", type=Path, default=None)
+    parser.add_argument("--out", type=Path, help="also keep the rows in this file")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", profiles.ControlWarning)
     rows, found = [], {}
@@ -181,6 +182,7 @@ def main():
             rows.append(row)
             found[profile, case] = (margin, growth)
     tell(rows, arguments)
+    keep(rows, arguments.out)
     if arguments.figure is not None:
         draw(found, arguments.figure)
 

@@ -2,7 +2,7 @@
 
     python docs/screenshot.py out/mission/replay.html docs/figures/tutorial-replay.png --at 0.5 --press r
 
-`--at` is the time to show, as a share of the flight; `--press` are keys (docs/replay.md), one after another.
+`--at` is the time to show, as a share of the flight; `--press` are keys (docs/flights-out.md), one after another.
 """
 
 import argparse

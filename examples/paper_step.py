@@ -2,7 +2,7 @@
 
     python examples/paper_step.py
 
-`PaperStep` is the text of section V with the constants of section VI; docs/from-paper-to-code.md says what is mended.
+`PaperStep` is the text of section V with the constants of section VI; docs/control.md says what is mended.
 """
 
 import itertools

@@ -8,7 +8,10 @@ import shlex
 import shutil
 import subprocess
 import sys
+import unicodedata
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, get_args, get_origin
 from urllib.parse import unquote
 
 import pytest
@@ -16,7 +19,11 @@ import typer
 
 import keepout
 from keepout import cli
-from keepout.core.mission.scenario import Scenario
+from keepout.apps.inspection.passive import DriftsFlown, DriftsPlanned
+from keepout.core.flight.loop import FlightLog
+from keepout.core.mission import surroundings
+from keepout.core.mission.scenario import COMPONENTS, Scenario, entries_and_tables, is_table
+from keepout.flights.campaign.table import _KINDS
 
 REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
@@ -40,13 +47,163 @@ def test_the_tables_of_results_are_of_this_version():
     assert answer.returncode == 0, answer.stderr
 
 
+def test_the_reference_of_entries_and_commands_is_of_this_version():
+    answer = subprocess.run([sys.executable, str(DOCS / "reference.py"), "--check"], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+
+
+def prose(page: Path) -> str:
+    """Give the text of a page without its fenced blocks."""
+    return re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """Give the anchors of a page's headings, as Python-Markdown makes them."""
+    found: set[str] = set()
+    for heading in re.findall(r"^#+ (.*?)(?: \{.*\})?$", prose(page), flags=re.MULTILINE):
+        plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "").replace("*", "")
+        plain = unicodedata.normalize("NFKD", plain).encode("ascii", "ignore").decode()
+        name = re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", plain).strip().lower())
+        found.add(next(one for one in (name, *(f"{name}_{count}" for count in range(1, 99))) if one not in found))
+    return found | set(re.findall(r'\bid="([^"]+)"', prose(page)))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_links_and_pictures_are_there_and_blocks_have_a_language(page: Path):
-    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
-    for address in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`\n]*`", "", text)):
-        if not re.match(r"https?://|#", address):
-            assert (page.parent / address.partition("#")[0]).is_file(), f"{named(page)}: {address}"
+    for address in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`\n]*`", "", prose(page))):
+        if not re.match(r"https?:", address):
+            name, _, anchor = address.partition("#")
+            place = (page.parent / name).resolve() if name else page
+            assert place.is_file(), f"{named(page)}: {address}"
+            if anchor and place.suffix == ".md":
+                assert anchor in anchors(place), f"{named(page)}: {address}"
     assert {language for language, _ in blocks(page)} <= LANGUAGES
+
+
+def code(page: Path) -> list[str]:
+    """Give what stands between backticks in the text of a page."""
+    return re.findall(r"`([^`\n]+)`", prose(page))
+
+
+def entry_names() -> set[str]:
+    """Give every entry and table of a scenario by dotted name, with those of lists of tables."""
+    names = {name for name, _ in entries_and_tables()}
+    for key, field in Scenario.model_fields.items():
+        if get_origin(field.annotation) is tuple and is_table(get_args(field.annotation)[0]):
+            names |= {name for name, _ in entries_and_tables(get_args(field.annotation)[0], f"{key}.")}
+    return names
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_entries_files_and_options_that_a_page_names_are_there(page: Path):
+    entries, tables = entry_names(), {name for name in Scenario.model_fields}
+    commands = dict(commands_of(typer.main.get_command(cli.app), "keepout"))
+    for said in code(page):
+        entry = said.partition(" = ")[0]
+        if re.fullmatch(r"[a-z_]+(\.[a-z_]+)+", entry) and entry.partition(".")[0] in tables:
+            table, _, last = entry.rpartition(".")
+            of_program = page.name == "on-board.md" and entry.startswith("chaser.")
+            there = entry in entries or (last in COMPONENTS and table in entries)
+            assert there or of_program or last in ENDINGS, f"{named(page)}: {said}"
+        if re.fullmatch(r"(src|tests|docs|benchmarks|examples|viewer)/[\w./*-]+", said):
+            assert list(REPOSITORY.glob(said.rstrip("/"))), f"{named(page)}: {said}"
+        words = said.split()
+        called = next((name for name in commands if words[: len(name.split())] == name.split()), None)
+        if called is not None:
+            there = {option for param in commands[called].params for option in (*param.opts, *param.secondary_opts)}
+            for word in words:
+                if re.fullmatch(r"--[a-z-]+", word):
+                    assert word in there | {"--help"}, f"{named(page)}: {said}"
+
+
+ENDINGS = {"toml", "json", "md", "py", "ipynb", "png", "svg", "html", "csv", "parquet", "keepmap", "keepout", "log"}
+
+
+def commands_of(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Give every command with its full name; that of a group for the one that is meant without a name too."""
+    if not hasattr(command, "list_commands"):
+        yield name, command
+        return
+    context = typer.Context(command)
+    for key in command.list_commands(context):
+        yield from commands_of(command.get_command(context, key), f"{name} {key}")
+    if name == "keepout campaign":
+        yield name, command.get_command(context, "fly")
+
+
+def test_a_reader_who_has_only_the_checkout_meets_no_other_folder():
+    for page in PAGES:
+        assert page.name == "results.md" or "../shared" not in page.read_text(encoding="utf-8"), named(page)
+
+
+def test_the_pages_stay_few_and_short():
+    """Without those that are generated from results and examples, and those for developers."""
+    apart = {"results.md", "changelog.md", "contributing.md", "architecture.md"}
+    pages = [page for page in DOCS.glob("*.md") if page.name not in apart]
+    assert len(pages) <= MOST_PAGES
+    assert sum(page.stat().st_size for page in pages) <= MOST_BYTES
+
+
+MOST_PAGES, MOST_BYTES = 26, 330_000
+
+KEYS_MADE = {
+    "core/mission/flight.py": ("summary", "_approach_figures", "navigation_figures"),
+    "core/mission/check.py": ("summary",),
+    "core/mission/surroundings.py": ("guard_numbers",),
+    "flights/pages/folder.py": ("write_flight",),
+    "flights/requirements.py": ("judged", "judged_campaign"),
+    "flights/campaign/table.py": ("summary", "_figures", "table_of"),
+    "flights/rare_events/event.py": ("summary",),
+    "flights/rare_events/subset.py": ("summary",),
+    "flights/pages/rare_page.py": ("write_rare",),
+    "flights/pages/campaign_page.py": ("report_campaign",),
+    "flights/pages/comparison_page.py": ("compare_campaigns",),
+    "flights/exchange/audited.py": ("audit_files", "_assumptions", "_verdict"),
+    "apps/unknown/exploration.py": ("summary",),
+    "apps/unknown/exploration_page.py": ("write_exploration",),
+    "apps/inspection/inspection.py": ("summary", "shares"),
+    "apps/inspection/inspection_page.py": ("write_inspection",),
+    "apps/inspection/limits.py": ("summary",),
+    "apps/inspection/passive.py": ("summary", "drifts_flown"),
+    "apps/inspection/circumnavigation.py": ("summary",),
+    "apps/led/driver.py": ("contact_figures",),
+    "verbs/campaigns.py": ("complete",),
+    "cli/mesh.py": ("describe_targets", "_fitted", "_certified", "_checked"),
+    "cli/scenario.py": ("_drafted",),
+    "cli/campaign.py": ("replay_run",),
+}
+"""Functions, below the package, in which keys of summaries and columns of tables are made."""
+
+
+def keys_made() -> set[str]:
+    """Give the keys that these functions write as text, and those that they make of names of their own."""
+    found: set[str] = set()
+    for file, functions in KEYS_MADE.items():
+        tree = ast.parse((REPOSITORY / "src" / "keepout" / file).read_text(encoding="utf-8"))
+        bodies = {node.name: node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+        assert set(functions) <= set(bodies), file
+        for one in ast.walk(tree):
+            if isinstance(one, ast.FunctionDef) and one.name in functions:
+                for node in ast.walk(one):
+                    keys = node.keys if isinstance(node, ast.Dict) else []
+                    if isinstance(node, ast.Assign):
+                        keys = [of.slice for of in node.targets if isinstance(of, ast.Subscript)]
+                    found |= {key.value for key in keys if isinstance(key, ast.Constant) and isinstance(key.value, str)}
+    found |= {f"{name}_{unit}".removesuffix("_") for name, unit in surroundings._ASSUMED}
+    found |= {f"{key}_s" for key in ("begun", "reached", "left", "held")} | {"largest_error_m", "kept"}
+    found |= {f"{name}_{of}" for name in ("passive", "passive_pushed") for of in PASSIVE}
+    found |= {*DriftsPlanned().summary(), *DriftsFlown().summary()}
+    return found | set(FlightLog.__annotations__) | {name for name in _KINDS if "_steps." not in name}
+
+
+PASSIVE = ("safe_share", "clearance_m", "spread_m")
+INNER = {"position", "velocity", "below", "chaser_radius", "prove_slope"}
+"""Written as text in these functions, and keys of no summary."""
+
+
+def test_every_key_of_a_summary_and_every_column_is_explained():
+    told = set(code(DOCS / "files.md"))
+    assert not sorted(keys_made() - told - INNER)
 
 
 def test_each_scenario_is_one(tmp_path: Path):
@@ -93,7 +250,7 @@ def test_the_python_of_a_page_compiles_and_names_what_there_is(page: Path):
 def test_the_reference_has_every_public_name():
     stub = (REPOSITORY / "src" / "keepout" / "__init__.pyi").read_text(encoding="utf-8")
     public = {f"keepout.{module}.{name}" for module, name in re.findall(r"from \.(\S+) import (\w+) as", stub)}
-    page = (DOCS / "reference" / "keepout.md").read_text(encoding="utf-8")
+    page = (DOCS / "python.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^::: (\S+)$", page, flags=re.MULTILINE)) == public
 
 

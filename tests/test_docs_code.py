@@ -11,9 +11,9 @@ from test_docs import PAGES, blocks, named
 
 pytestmark = pytest.mark.long
 
-ELSEWHERE = {"README.md", "docs/export.md", "docs/clusters.md"}
-"""Run by tests/test_commands.py and tests/flights/exchange; the last needs what no test has: a SLURM cluster."""
-QUICK = {"docs/mapping.md", "docs/reading-a-certificate.md", "docs/seeable.md"}
+ELSEWHERE = {"README.md"}
+"""Run by tests/test_commands.py."""
+QUICK = {"docs/my-mesh.md", "docs/my-mission.md"}
 QUICKER = {
     # Its field, instead of one that is learned as README has it: the grid of exact distances.
     "docs/tutorial.md": [
@@ -23,21 +23,33 @@ QUICKER = {
         ),
         ("duration=500.0", "duration=60.0"),
     ],
-    "docs/own/gym.md": [("num_envs=1024, guard=False", "num_envs=1")],
+    "docs/reproduce.md": [
+        ("duration=300.0", "duration=240.0"),
+        ("duration=500.0", "duration=60.0"),
+        ("range(20)", "range(1)"),
+    ],
+    "docs/my-mesh.md": [
+        ('keepout.fit("mission.toml", certify=True, out="satellite.keepout")', 'keepout.load_shipped("intelsat30")')
+    ],
+    "docs/own-parts.md": [("num_envs=1024, guard=False", "num_envs=1"), ("duration=300.0", "duration=240.0")],
+    "docs/flights-out.md": [("import pandas\n", "import pytest\npandas = pytest.importorskip('pandas')\n")],
+    "docs/on-board.md": [("examples/approach.toml", "mission.toml")],
     "docs/python.md": [("keepout.fit(target, certify=True)", "guard_field(target, 0.5)"), ("runs=200", "runs=4")],
-    "docs/own/law.md": [("duration=300.0", "duration=240.0")],
     "docs/campaigns.md": [
         ("runs=1000", "runs=2"),
         ("keepout.Scenario()", 'keepout.Scenario().replace(duration=20.0, guard={"enabled": False})'),
+        # A cluster that is not there, and no waiting for it.
+        ("from dask_jobqueue import SLURMCluster", "from unittest.mock import MagicMock as SLURMCluster"),
+        ("while True:\n    time.sleep(60)\n", ""),
+        ("below=0.0", "below=0.3, runs=2, flights=64"),
     ],
-    "docs/approach.md": [("examples/approach.toml", "mission.toml")],
     "docs/explore.md": [("examples/explore.toml", "mission.toml")],
     "docs/inspection.md": [
         ('keepout.inspect("examples/inspect.toml")', 'keepout.inspect("mission.toml")'),
         ('Scenario.load("examples/inspect.toml")', 'Scenario.load("mission.toml")'),
         ("range(3)", "range(1)"),
+        ("out/inspect/inspect.parquet", "out/inspect/look.parquet"),
     ],
-    "docs/rare.md": [("below=0.0", "below=0.3, runs=2, flights=64, most_levels=2")],
 }
 """What is written, and what the test writes instead."""
 BEFORE = {
@@ -46,10 +58,10 @@ BEFORE = {
     "from keepout.apps.inspection.command import inspect_to_folder\n"
     "inspect_to_folder(Scenario.load('mission.toml'), Path('out/inspect'), figures=False)\n",
     **dict.fromkeys(("docs/tutorial.md", "docs/python.md"), "from keepout.core.guard.field import guard_field\n"),
-    "docs/rare.md": "import keepout, numpy\n"
-    "from keepout.flights.rare_events.flights import Tape\n"
-    "scenario = keepout.Scenario.load('mission.toml')\n"
-    "tape = numpy.zeros(Tape.of(scenario).numbers)\n",
+    "docs/flights-out.md": "import keepout\n"
+    "from pathlib import Path\n"
+    "Path('out/case1').mkdir(parents=True)\n"
+    "keepout.fly('mission.toml').save('out/case1/case1.parquet')\n",
 }
 """What a page has told in words before its first block, and what the test's own words need."""
 MISSION = """
@@ -58,7 +70,7 @@ start.position = [0.0, 3.5, 0.0]
 faults.position_noise_std = 0.01
 """
 MISSIONS = {
-    "docs/approach.md": """
+    "docs/on-board.md": """
 target.source = "box"
 field.source = "grid"
 start.position = [9.0, 0.0, 0.0]
@@ -85,7 +97,7 @@ guard.enabled = false
 start.position = [0.0, 1.0, 5.3]
 goal.position = [0.0, -0.6, -5.0]
 """,
-    "docs/rare.md": """
+    "docs/campaigns.md": """
 name = "near"
 duration = 40.0
 start.position = [8.0, 1.5, 1.2]

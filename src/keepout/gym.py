@@ -1,4 +1,4 @@
-"""Environments for Gymnasium: `import keepout.gym` registers `keepout/Approach-v0` (docs/own/gym.md)."""
+"""Environments for Gymnasium: `import keepout.gym` registers `keepout/Approach-v0` (docs/own-parts.md)."""
 
 from importlib.util import find_spec
 

@@ -18,7 +18,7 @@ from keepout.core.mission.scenario import Scenario
 
 ROOT = Path(__file__).parents[2]
 BENCHMARKS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py"))
-WITHOUT_OPTIONS = {"fields", "guard_field", "motion"}
+WITHOUT_OPTIONS = {"fields"}
 
 
 @pytest.mark.long

@@ -62,7 +62,7 @@ class _Flying:
         str, typer.Option(help="Flights that become flight files: worst:N, by least clearance, all or none.")
     ] = "worst:20"
     batch: Annotated[
-        int | None, typer.Option(callback=at_least(1), help="Flights at once; part of what the campaign is.")
+        int | None, typer.Option(callback=at_least(1), help="Flights at once; another number makes another campaign.")
     ] = None
     scheduler: Annotated[
         str | None,

@@ -32,12 +32,18 @@ if TYPE_CHECKING:
 class _Wanted:
     """Options on what a format writes."""
 
-    craft: Annotated[str | None, typer.Option("--of", help="oem: chaser (if not given) or target.")] = None
-    xml: Annotated[bool, typer.Option("--xml", help="oem, aem: as XML; a file that ends in .xml is anyway.")] = False
-    chaser_radius: Annotated[
-        float | None, from_zero("Of a field with several certificates: the one that is meant, m.")
+    craft: Annotated[
+        str | None, typer.Option("--of", help="The craft that an OEM is of: chaser (if not given) or target.")
     ] = None
-    mesh: Annotated[str | None, typer.Option(help="glb: the mesh, where it is not where flight or field say.")] = None
+    xml: Annotated[
+        bool, typer.Option("--xml", help="Write OEM or AEM as XML; a file that ends in .xml is XML anyway.")
+    ] = False
+    chaser_radius: Annotated[
+        float | None, from_zero("The radius of the certificate that is meant, m, where a field has several.")
+    ] = None
+    mesh: Annotated[str | None, typer.Option(help="The mesh for a GLB, where it is not where flight or field say.")] = (
+        None
+    )
 
 
 @app.command(
@@ -55,14 +61,16 @@ def export(
     *,
     to: Annotated[
         str,
-        typer.Option(help="Of a flight: oem, aem, czml, csv, parquet, npz, glb; of a field: onnx, glb; a mission: c."),
+        typer.Option(
+            help="The format: of a flight oem, aem, czml, csv, parquet, npz or glb; of a field onnx or glb; of a mission c."
+        ),
     ],
     out: Annotated[Path, into("The file to write; of flight code the folder.")],
     wanted: _Wanted,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Write a flight, a field or a mission's flight code for other programs, its epoch, frames and units stated."""
+    """Write a flight or a field for other programs, with its frames and units stated, or a mission's flight code."""
     from keepout.flights.exchange.export import Export
 
     if source.suffix != ".toml":
@@ -85,18 +93,20 @@ class _Given:
     target_orbit: Annotated[Path, typer.Option(help="OEM of the target's centre of mass.")]
     chaser_radius: Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")]
     acceleration_bound: Annotated[
-        float, from_zero("Of the chaser relative to the target in inertial axes, thrust and all else together, m/s².")
+        float,
+        from_zero("A bound on the chaser's inertial acceleration relative to the target, all causes together, m/s²."),
     ]
     target_attitude: Annotated[Path | None, typer.Option(help="AEM of the target.")] = None
     target_fixed_in: Annotated[
         str | None, typer.Option(help="Without an AEM: the axes that the body's are, vvlh (if not given) or inertial.")
     ] = None
     turning_acceleration_bound: Annotated[
-        float | None, from_zero("Of the target, rad/s²; if not given, measured from the attitudes.")
+        float | None,
+        from_zero("A bound on the target's angular acceleration, rad/s²; if not given, measured from the attitudes."),
     ] = None
     centre_of_mass: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="Of the target, in body axes, m; if not given, the scenario's, or 0 0 0."),
+        typer.Option(help="The target's centre of mass in body axes, m; if not given, the scenario's, or 0 0 0."),
     ] = None
     chaser_object: Annotated[
         str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that the chaser's OEM must have.")
@@ -128,14 +138,14 @@ class _Placed:
         bool, typer.Option("--target-drop-stray", help="Leave out parts far from the rest.")
     ] = False
     target_thickness: Annotated[
-        float | None, typer.Option(help="Of a point cloud: each point is a ball this wide, m.")
+        float | None, typer.Option(help="The diameter of the ball that each point of a point cloud stands for, m.")
     ] = None
     target_rotation: Annotated[
         tuple[float, float, float, float, float, float, float, float, float] | None,
-        typer.Option(help="From file axes to body axes: a rotation matrix, row by row.", metavar="NINE NUMBERS"),
+        typer.Option(help="The rotation matrix from file axes to body axes, row by row.", metavar="NINE NUMBERS"),
     ] = None
     target_origin: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="Of the body frame, in file axes, m.")
+        tuple[float, float, float] | None, typer.Option(help="The body frame's origin in file axes, m.")
     ] = None
 
     def entry(self, target: str, settings: list[str] | None) -> "TargetEntry":

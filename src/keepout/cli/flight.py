@@ -59,7 +59,7 @@ add_mission_command(
 def replay(
     flights: Annotated[list[Path], typer.Argument(help="Flight files (.parquet, .npz), all around one target.")],
     out: Annotated[Path, into("The page to write (.html).")] = Path("replay.html"),
-    title: Annotated[str | None, typer.Option(help="Of the page; by default the first flight's name.")] = None,
+    title: Annotated[str | None, typer.Option(help="The page's title; by default the first flight's name.")] = None,
     video: Annotated[
         Path | None,
         typer.Option(
@@ -79,7 +79,9 @@ def replay(
 @app.command(epilog=example("keepout report out/case1 --pdf", "keepout report out/campaign --pdf -o campaign.pdf"))
 def report(
     folder: Annotated[Path, typer.Argument(help="The folder of fly, explore, inspect or campaign.")],
-    pdf: Annotated[bool, typer.Option("--pdf", help="As a PDF; without it a campaign's page is written anew.")] = False,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Write a PDF; without it a campaign's page is written anew.")
+    ] = False,
     out: Annotated[Path | None, into("The PDF to write; by default report.pdf in that folder.")] = None,
     as_json: AsJson = False,
 ) -> None:

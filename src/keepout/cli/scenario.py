@@ -33,9 +33,10 @@ def new_scenario(
     target: Annotated[
         str | None, typer.Option("--for", help="A mesh file, or a built-in target's name, whose sizes to fill in.")
     ] = None,
-    profile: Annotated[str, typer.Option(help="Of the control law: default or paper.")] = "default",
+    profile: Annotated[str, typer.Option(help="The control law's profile: default or paper.")] = "default",
     approach: Annotated[
-        bool, typer.Option("--approach", help="From hold point to hold point, with a keep-out sphere and a corridor.")
+        bool,
+        typer.Option("--approach", help="Lead from hold point to hold point, with a keep-out sphere and a corridor."),
     ] = False,
     read: MeshFile,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,

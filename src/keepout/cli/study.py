@@ -20,9 +20,9 @@ def rare(
         Path | None, into("Folder for results, figure and page. By default out/NAME/rare, by the scenario's name.")
     ] = None,
     below: Annotated[float, typer.Option(callback=at_least(-math.inf), help="The clearance, m; 0 is contact.")] = 0.0,
-    runs: Annotated[int, typer.Option(callback=at_least(2), help="Whose spread gives the interval.")] = 8,
+    runs: Annotated[int, typer.Option(callback=at_least(2), help="Repetitions whose spread gives the interval.")] = 8,
     flights: Annotated[
-        int, typer.Option(callback=at_least(64, multiple_of=8), help="Of each level and run; a multiple of 8.")
+        int, typer.Option(callback=at_least(64, multiple_of=8), help="Flights of each level and run; a multiple of 8.")
     ] = 1024,
     quick: Annotated[bool, typer.Option("--quick", help="256 flights of each level and run: a rough answer.")] = False,
     seed: ScenarioSeed = None,

@@ -93,7 +93,7 @@ def test_a_second_run_computes_nothing_and_gives_the_same(out, rows):
     assert files(out, "*/*.csv") == tables
 
 
-PAGE = Path(__file__).parents[3] / "docs" / "demonstration.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reproduce.md"
 
 
 def printed_table() -> dict[str, tuple]:

@@ -39,6 +39,15 @@ def test_the_page_has_the_numbers():
     assert len(ROWS) >= 4
 
 
+def test_the_default_scenarios_numbers_are_of_the_product():
+    words = " ".join(PAGE.split())
+    said = re.search(r"D = (\S+ \S+), a_b = (\S+ \S+), ρ = (\S+ \S+) and σ = (\S+ [^\s.]+)\.", words)
+    assert said
+    assumed, braking = made()
+    values = (assumed.disturbance, braking.deceleration, braking.position_radius, braking.velocity_radius)
+    assert [printed(value, text) for value, text in zip(values, said.groups(), strict=True)] == list(said.groups())
+
+
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: " ".join(row[:2]))
 def test_the_table_is_of_the_product(row):
     errors, delay, *said = row

@@ -63,5 +63,5 @@ def test_the_guard_assumes_a_fault_to_its_detection_and_the_audit_the_guards_exc
     assert (covered.fault_force, covered.fault_steps) == (pytest.approx(0.1), 5)
     width, told = errors(scenario(layout="six")), Surroundings(scenario(layout="six")).flight_bounds
     assert (told.excursion, told.velocity_excursion) == (width.excursion, width.velocity_excursion)
-    # The figures of docs/my-thrusters.md: 0.1 N an axis, 20 kg, 1 s, 20 ms.
+    # The figures of docs/motion.md: 0.1 N an axis, 20 kg, 1 s, 20 ms.
     assert (width.force_error, width.excursion) == pytest.approx((np.sqrt(3.0) * 1e-3, np.sqrt(3.0) * 0.1 / 640.0))

@@ -1,4 +1,4 @@
-"""`keepout/Approach-v0` for Gymnasium: one episode at a time, or a thousand on the batched step (docs/own/gym.md)."""
+"""`keepout/Approach-v0` for Gymnasium: one episode at a time, or a thousand on the batched step (docs/own-parts.md)."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

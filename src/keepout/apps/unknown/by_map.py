@@ -1,6 +1,6 @@
 """Law and guard by the field of a map: of the target only a ball is known that holds it, and what was seen free.
 
-The guard's numbers hold for every map (docs/mapping-field.md), so they are the scenario's and the ball's alone. Law and
+The guard's numbers hold for every map (docs/mapping.md), so they are the scenario's and the ball's alone. Law and
 guard fly by the same field. The guard asks for room beyond its threshold, and the law keeps that room: otherwise it
 would lead to where the guard holds it for ever.
 """

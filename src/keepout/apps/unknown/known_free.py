@@ -191,7 +191,7 @@ class KnownFreeMap:
         """What makes this map one that nothing is promised of, in words; () where nothing is known against it."""
         told = tuple(f"map: {line}" for line in self.broken)
         if self.contradicting:
-            told += (f"map: {self.contradicting} returns contradict it (docs/mapping.md#what-contradicts-a-map)",)
+            told += (f"map: {self.contradicting} returns contradict it, so that ball or sensor break a promise",)
         return told
 
     @property

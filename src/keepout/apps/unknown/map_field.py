@@ -1,6 +1,6 @@
 """The field of a map: a C² cubic B-spline over the distances of a grid's nodes to all that is not known free.
 
-Its bounds hold for any map, whatever was seen and in whatever order (docs/mapping-field.md):
+Its bounds hold for any map, whatever was seen and in whatever order (docs/mapping.md):
 
 - f ≤ √(d² + h²), with d the distance to the cubes that are not known free and h their edge;
 - where free room grows, f falls nowhere, in floating point neither;
@@ -117,7 +117,7 @@ class MapField(Field):
 
     @property
     def evaluation_error(self) -> float:
-        """Bound, m, of what float64 and any order of sums make of the exact spline (docs/mapping-field.md)."""
+        """Bound, m, of what float64 and any order of sums make of the exact spline (docs/mapping.md)."""
         return 2.0**-53 * (256.0 * self.cap + 16.0 * float(self.spacing) * max(self.squares.shape))
 
     def _places(self, points: Float[Array, "n 3"]) -> tuple[Int32[Array, "n 3"], Float[Array, "n 3"]]:

@@ -65,7 +65,7 @@ def broken_promises(scenario: Scenario, target: Target, ball: DeclaredBall) -> t
     if reach > ball.radius:
         found.append(f"target: reaches {reach:.6g} m from map.centre > map.radius {ball.radius:.6g} m")
     if scenario.depth_sensor.broken != "none":
-        found.append(f"depth_sensor.broken {scenario.depth_sensor.broken} (docs/depth-sensor.md)")
+        found.append(f"depth_sensor.broken {scenario.depth_sensor.broken}")
     return tuple(found)
 
 

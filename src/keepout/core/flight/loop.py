@@ -283,7 +283,7 @@ def fly_segment(
 
     Law and guard go on with what they remember: the law's observer, the force held, the commands under way, the guard's
     plan. That is right as long as what is new in `setup` leaves the meaning of these: another goal, guidance or tuning,
-    and a field that says nowhere less than the one before (docs/mapping-field.md). One program serves all numbers of
+    and a field that says nowhere less than the one before (docs/mapping.md). One program serves all numbers of
     steps up to its room.
 
     A whole flight's record has one more row, of its end: fly a last segment of one step and keep its row only.

@@ -1,6 +1,6 @@
 """The tables of a scenario for a rendezvous: legs from hold point to hold point, zones, corridors, approach rules.
 
-They are data, as those of `entries.py`. What they mean for law, guard and audit is in docs/approach.md.
+They are data, as those of `entries.py`. What they mean for law, guard and audit is in docs/guard.md.
 """
 
 import math
@@ -31,15 +31,16 @@ class LegEntry(Entry):
     """A place where the chaser holds before it flies on; the last leg's is the goal.
 
     Attributes:
-        name: for tables, plots and refusals; unset: its number.
-        position: of the hold point, m.
-        axes: of the position: the target's body axes, or VVLH, where the target is fixed in it.
-        tolerance: the chaser is there while it is closer than this, m.
-        dwell: for which it stays there without a break before it flies on, s.
-        until: "go": not before somebody says so; on board the caller, in simulation `go_at`.
-        go_at: in simulation, when "go" is said, s.
-        speed_limit: on the way to this place, m/s; unset: chaser.speed_limit.
-        within: [earliest, latest]: not flown to before, to be reached by, s.
+        name: The name in tables, plots and refusals; unset: the leg's number.
+        position: The hold point, m.
+        axes: The axes of the position: the target's body axes, or VVLH, if the target stands still in it.
+        tolerance: The chaser is at the hold point while it is closer than this, m.
+        dwell: How long the chaser stays there without a break before it flies on, s.
+        until: "go": the chaser flies on only after somebody says so, on board the caller, in simulation `go_at`.
+        go_at: The time at which "go" is said in simulation, s; `until = "go"` needs it.
+        speed_limit: The largest speed on the way to this place, m/s; unset: chaser.speed_limit.
+        within: [earliest, latest], s: the chaser does not fly to this place before the first, and is to be there by the
+            second.
 
     """
 
@@ -64,19 +65,21 @@ class ZoneEntry(Entry):
     """Room that no part of the chaser may enter while the zone stands.
 
     Attributes:
-        name: for tables, plots and refusals; unset: its number.
-        shape: a cylinder and a cone begin at `centre` and go along `axis`; a cone ends as a part of a sphere.
-        centre: of sphere and ellipsoid; of a cylinder's first face; a cone's apex, m.
-        radius: of sphere and cylinder, m.
-        semi_axes: of an ellipsoid, along the zone's axes, m.
-        lower: lower corner of a box along the zone's axes, m.
-        upper: upper corner of a box along the zone's axes, m.
-        axis: of cylinder and cone, any length.
-        half_angle: of a cone, rad.
-        length: of cylinder and cone, m.
-        axes: in which all this is told, about the body frame's origin: the target's, VVLH, or ECI (inertial).
-        start: from when it stands, s.
-        until: until when it stands, s; "go": until "go" is said to the first such leg; unset: always.
+        name: The name in tables, plots and refusals; unset: the zone's number.
+        shape: The shape; a cylinder and a cone begin at `centre` and go along `axis`, and a cone ends as a part of a
+            sphere.
+        centre: The centre of a sphere or ellipsoid, of a cylinder's first face, or a cone's apex, m.
+        radius: The radius of a sphere or cylinder, m.
+        semi_axes: The semi-axes of an ellipsoid along the zone's axes, m.
+        lower: The lower corner of a box along the zone's axes, m.
+        upper: The upper corner of a box along the zone's axes, m.
+        axis: The direction of a cylinder or cone, any length.
+        half_angle: The angle between a cone's axis and its side, rad.
+        length: The length of a cylinder or cone, m.
+        axes: The axes of these numbers, about the body frame's origin: the target's, VVLH, or ECI (inertial).
+        start: The time from which the zone stands, s.
+        until: The time until which it stands, s, or "go": until "go" is said to the first leg that waits for it; unset:
+            for ever.
 
     """
 
@@ -112,12 +115,13 @@ class CorridorEntry(Entry):
     """Inside `length` of a port the chaser's centre stays in a cone, or a tube, that leads outwards from it.
 
     Attributes:
-        name: for tables, plots and refusals; unset: its number.
-        port: body frame, m.
-        axis: from the port outwards, body frame, any length.
-        length: m.
-        half_angle: of a cone, rad; unset: a tube.
-        radius: of the tube, or of the cone at the port, m; of a cone unset: 0.
+        name: The name in tables, plots and refusals; unset: the corridor's number.
+        port: The place of the port in the body frame, m.
+        axis: The direction from the port outwards in the body frame, any length.
+        length: The distance from the port within which the corridor binds, m.
+        half_angle: The angle between the cone's axis and its side, rad; unset: the corridor is a tube.
+        radius: The radius of the tube, or of the cone at the port, m; a tube needs it; unset: the cone begins as a
+            point.
 
     """
 
@@ -139,13 +143,14 @@ class ApproachEntry(Entry):
     """How fast the chaser may fly how near, and how it gets away.
 
     Attributes:
-        speed_by_distance: pairs [distance, m, largest speed, m/s], distances falling; linear between them.
-        distance_to: what the distance is measured to: a point of the body frame (the port), m; unset: the mesh, of
-            which the law's field says less.
-        abort: how a mission is abandoned at `faults.abort_at`; retreat: back to the hold point before the one flown to,
-            guarded as ever; drift: nothing thrusts any more, and no guard can.
-        abort_time: for which a chaser that stops thrusting should touch nothing, s; every few seconds of a flight such
-            a drift is judged; unset: none is.
+        speed_by_distance: Pairs [distance, m, largest speed, m/s] with falling distances; the speed is linear between
+            them.
+        distance_to: The point of the body frame, such as the port, to which the distance is measured, m; unset: it is
+            measured to the mesh, by the law's field, which says less.
+        abort: How a mission is abandoned at `faults.abort_at`: retreat, back to the hold point before the one flown to,
+            under the guard; or drift, with all thrusters off, so that no guard can act.
+        abort_time: How long a chaser that stops thrusting should touch nothing, s; such a drift is judged every few
+            seconds of a flight; unset: none is.
 
     """
 

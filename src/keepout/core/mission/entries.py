@@ -107,18 +107,19 @@ class Entry(BaseModel, metaclass=_Documented):
 
 
 class TargetEntry(Entry):
-    """What is flown around.
+    """The spacecraft that is flown around.
 
     Attributes:
-        source: a built-in target's name, or a mesh file (relative to the scenario).
-        units: length unit of the mesh file.
-        scale: metres per unit of the mesh file, instead of `units`.
-        drop_stray: leave out parts far from the rest.
-        thickness: of a point cloud: each point is a ball this wide, m.
-        rotation: from file axes to body axes.
-        origin: of the body frame, in file axes, m.
-        centre_of_mass: of the target, about which it turns and which orbits, in the body frame, m.
-        parameters: of a built-in: wing angle, wing span, ….
+        source: The name of a built-in target (`keepout targets` lists them), or a file with a mesh, a point cloud or a
+            map (.keepmap); its path is relative to the scenario.
+        units: The length unit of the file; unset: metres, unless the file says its unit.
+        scale: How many metres a unit of the file is; in place of `units`.
+        drop_stray: Whether parts of the mesh that lie far from the rest are left out.
+        thickness: The diameter of the ball that each point of a point cloud stands for, m; a point cloud needs it.
+        rotation: The rotation from file axes to body axes, three rows; unset: none.
+        origin: The body frame's origin in file axes, m; unset: the file's own.
+        centre_of_mass: The target's centre of mass in the body frame, m: it orbits, and the target turns about it.
+        parameters: Numbers of a built-in target, such as its wings' angle and span.
 
     """
 
@@ -141,8 +142,8 @@ class FieldEntry(Entry):
     """The field that the control law flies by.
 
     Attributes:
-        source: "shipped" for a built-in target; "grid", made of exact distances when it is needed, for any; or a
-            .keepout file.
+        source: "shipped", the learned field of a built-in target; "grid", exact distances on a grid, made when needed,
+            for any target; or a .keepout file.
 
     """
 
@@ -153,10 +154,10 @@ class ChaserEntry(Entry):
     """The chaser: a ball of `radius` with one thruster pair an axis.
 
     Attributes:
-        mass: kg.
-        radius: of the ball that holds the chaser, m.
-        force_limit: per body axis, N.
-        speed_limit: m/s.
+        mass: The mass that law and guard count with, kg.
+        radius: The radius of the ball that holds the whole chaser, m.
+        force_limit: The largest force along each body axis, N.
+        speed_limit: The largest speed relative to the target, m/s.
 
     """
 
@@ -167,10 +168,10 @@ class ChaserEntry(Entry):
 
 
 class SafetyEntry(Entry):
-    """What is kept between chaser and target beyond what is proved.
+    """The distance that is kept between chaser and target beyond the proved one.
 
     Attributes:
-        margin: the operator's own, m.
+        margin: The operator's own margin, m.
 
     """
 
@@ -181,13 +182,13 @@ class GuardEntry(Entry):
     """The hard layer that accepts or replaces every commanded force, and what its theorem may assume.
 
     Attributes:
-        enabled: whether it flies along.
-        position_error: largest error of the position estimate, m.
-        velocity_error: largest error of the velocity estimate, m/s.
-        mass_error: largest relative error.
-        gain_error: of the thrusters, relative.
-        keeps_margin: whether its theorem too keeps `safety.margin`, and not only from contact.
-        delay: from command to effect, control periods; the control law predicts its state over it too.
+        enabled: Whether the guard flies along.
+        position_error: The largest error of the position estimate, m.
+        velocity_error: The largest error of the velocity estimate, m/s.
+        mass_error: The largest relative error of `chaser.mass`.
+        gain_error: The largest relative error of the thrusters' force.
+        keeps_margin: Whether the theorem keeps `safety.margin` too, instead of only excluding contact.
+        delay: The delay from a command to its effect, control periods; the control law predicts its state over it.
 
     """
 
@@ -201,27 +202,29 @@ class GuardEntry(Entry):
 
 
 class FaultsEntry(Entry):
-    """What goes wrong in flight, drawn from the scenario's seed; law and guard know only what `guard` says of it.
+    """Errors and failures of the flight, drawn from `seed`; law and guard know only what `guard` says of them.
 
     Attributes:
-        law: what replaces the law's force: full thrust into the body, straight through to the goal at twice the speed
-            limit, random forces, full thrust in a random corner for 15 periods each, NaN in every 15th command.
-        position_bias: constant error of the estimate, random direction, m.
-        velocity_bias: the same of its velocity, m/s.
-        position_noise: largest error drawn anew each period, m.
-        velocity_noise: the same of its velocity, m/s.
-        position_noise_std: standard deviation of a Gaussian error of each axis, which has no bound, m.
-        velocity_noise_std: the same of its velocity, m/s.
-        noise_correlation_time: over which the Gaussian errors fall to a third (1/e); 0: new ones each period, s.
-        delay: true delay from command to effect, control periods.
-        dropped: probability that a command is lost; the last one then goes on.
-        gain_error: each axis gives 1 ± this of its command, drawn once a flight.
-        stuck: the thruster that is stuck, by the direction it pushes in.
-        stuck_force: what it then gives: 0 stuck off, force_limit stuck on, N.
-        stuck_from: when it sticks, s.
-        abort_at: when the mission is abandoned, as `approach.abort` says, s.
-        thruster: of a layout, the thruster that is stuck, counted from 0.
-        thruster_stuck: how.
+        law: What replaces the law's force: full thrust into the body; straight through to the goal at twice the speed
+            limit; random forces; bang-bang, full thrust in a random corner for 15 periods each; or not a number (NaN)
+            in every 15th command.
+        position_bias: The length of a constant error of the position estimate, in a random direction, m.
+        velocity_bias: The length of a constant error of the velocity estimate, in a random direction, m/s.
+        position_noise: The largest error of the position estimate that is drawn anew each period, m.
+        velocity_noise: The largest error of the velocity estimate that is drawn anew each period, m/s.
+        position_noise_std: The standard deviation of a Gaussian position error of each axis, which has no bound, m.
+        velocity_noise_std: The standard deviation of a Gaussian velocity error of each axis, which has no bound, m/s.
+        noise_correlation_time: The time over which the Gaussian errors fall to a third (1/e), s; 0: new ones each
+            period.
+        delay: The true delay from a command to its effect, control periods.
+        dropped: The probability that a command is lost; the last one then goes on.
+        gain_error: Each axis gives 1 ± this times its command, drawn once a flight.
+        stuck: The thruster that sticks, by the direction in which it pushes; for `thrusters.layout = "ideal"`.
+        stuck_force: The force of the stuck thruster, N: 0 is stuck off, chaser.force_limit is stuck on.
+        stuck_from: The time at which the thruster sticks, s.
+        abort_at: The time at which the mission is abandoned, as `approach.abort` says, s; unset: it is not.
+        thruster: The number, counted from 0, of the thruster of a layout that sticks.
+        thruster_stuck: Whether `thruster` sticks on or off.
 
     """
 
@@ -253,13 +256,13 @@ class FaultsEntry(Entry):
 
 
 class PaperEntry(Entry):
-    """What the paper's law needs and the paper does not print; only for `profile = "paper"`.
+    """Numbers that the paper's law needs and the paper does not print; only for `control.profile = "paper"`.
 
     Attributes:
         slowing_length: k_p of the desired velocity v_max tanh(r_e/k_p), by component, m.
         sharpness: ε of the smooth safety filter.
-        position_weight: H₀ of the Lyapunov function is this times the identity.
-        gradient_error: e_∇h; above 0 the barrier row becomes a cone.
+        position_weight: The Lyapunov function's H₀ is this times the identity.
+        gradient_error: The error e_∇h of the field's gradient; above 0 the barrier row becomes a cone.
 
     """
 
@@ -273,12 +276,15 @@ class ControlEntry(Entry):
     """The control law.
 
     Attributes:
-        profile: the recommended law, or the paper's constants.
-        period: between control steps, s.
-        guidance: unset: the profile's own.
-        spacing: of the geodesic grid, m; unset: from the room and the zone's width.
-        circulation: unset: the profile's.
-        observer: unset: the profile's own.
+        profile: The recommended law ("default"), or the paper's law with its constants ("paper").
+        period: The time between two control steps, s.
+        guidance: Where the law leads: "geodesic", along the shortest free way, or "straight" to the goal; unset:
+            geodesic for the default profile, straight for the paper's.
+        spacing: The spacing of the geodesic guidance's grid, m; unset: it follows from the room and the zone's width.
+        circulation: The paper's circulation: none, as printed, made skew, or switching; unset: none for the default
+            profile, printed for the paper's.
+        observer: The estimate of the disturbance: harmonic, constant, as printed in the paper, or off; unset: harmonic
+            for the default profile, printed for the paper's.
 
     """
 
@@ -303,13 +309,14 @@ class OrbitEntry(Entry):
     """The target's orbit about the Earth.
 
     Attributes:
-        semi_major_axis: m.
-        eccentricity: 0: a circle.
-        true_anomaly: at the start, rad.
-        inclination: rad; this and the next two count only with j2 or drag.
-        right_ascension: of the ascending node, rad.
-        argument_of_perigee: rad.
-        j2: whether the Earth's oblateness bends both orbits.
+        semi_major_axis: The semi-major axis, m; the perigee must be at least 6.4e6 m from the Earth's centre.
+        eccentricity: The eccentricity; 0 is a circle.
+        true_anomaly: The true anomaly at the start, rad.
+        inclination: The inclination, rad; it and the next two place the orbit in ECI, and matter with j2, drag, the sun
+            and in exports.
+        right_ascension: The right ascension of the ascending node, rad.
+        argument_of_perigee: The argument of perigee, rad.
+        j2: Whether the Earth's oblateness bends both orbits.
 
     """
 
@@ -331,11 +338,11 @@ class DragEntry(Entry):
     """Drag of both spacecraft in an exponential atmosphere that turns with the Earth.
 
     Attributes:
-        density: of the air at `altitude`, kg/m3; 0: no drag.
-        altitude: above the equatorial radius, m.
-        scale_height: over which the density falls to a third (1/e), m.
-        target_area_to_mass: drag coefficient × area / mass, m2/kg.
-        chaser_area_to_mass: drag coefficient × area / mass, m2/kg.
+        density: The air's density at `altitude`, kg/m3; 0: no drag.
+        altitude: The altitude above the equatorial radius at which the air has that density, m.
+        scale_height: The height over which the density falls to a third (1/e), m.
+        target_area_to_mass: The target's drag coefficient × area / mass, m2/kg.
+        chaser_area_to_mass: The chaser's drag coefficient × area / mass, m2/kg.
 
     """
 
@@ -350,9 +357,9 @@ class SunEntry(Entry):
     """Sunlight: where it comes from, and how it pushes both spacecraft.
 
     Attributes:
-        direction: from the Earth to the sun, ECI, any length; unset: where it is at `epoch`.
-        target_area_to_mass: radiation pressure coefficient × area / mass, m2/kg; 0: no push.
-        chaser_area_to_mass: radiation pressure coefficient × area / mass, m2/kg; 0: no push.
+        direction: The direction from the Earth to the sun, ECI, any length; unset: as it is at `epoch`.
+        target_area_to_mass: The target's radiation pressure coefficient × area / mass, m2/kg; 0: no push.
+        chaser_area_to_mass: The chaser's radiation pressure coefficient × area / mass, m2/kg; 0: no push.
 
     """
 
@@ -369,10 +376,11 @@ class AttitudeEntry(Entry):
     """How the target turns.
 
     Attributes:
-        kind: fixed to VVLH, fixed to the stars, free.
-        angular_velocity: tumbling: inertial, in body axes, rad/s.
-        inertia: tumbling: tensor in body axes, kg m2.
-        gravity_gradient: tumbling: whether the Earth's gravity turns it.
+        kind: The target stands still in the orbital frame (vvlh), stands still among the stars (inertial), or turns
+            freely (tumbling).
+        angular_velocity: The inertial angular velocity at the start, in body axes, rad/s; for tumbling.
+        inertia: The tensor of inertia in body axes, kg m2; for tumbling.
+        gravity_gradient: Whether the Earth's gravity turns the target; for tumbling.
 
     """
 
@@ -392,13 +400,14 @@ class DisturbanceEntry(Entry):
     """The force that nobody commanded, in body axes.
 
     Attributes:
-        kind: paper: 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; bang-bang: changes sign every 50 s; resonant: with
-            every control step; random: smooth noise from the seed.
-        force: constant: N.
-        amplitude: bang-bang, resonant, random: largest norm, N.
-        phase: paper, random: added to that of every sinusoid; bang-bang, resonant: a full turn is a period; none and
-            constant have none, rad.
-        bound: what the control law may assume, N; unset: the true bound.
+        kind: The force: none; the paper's, 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; constant; bang-bang, which
+            changes sign every 50 s; resonant, which does with every control step; or random, smooth noise from the
+            seed.
+        force: The constant force, N; `constant` needs it.
+        amplitude: The largest norm of the force, N; `bang-bang`, `resonant` and `random` need it.
+        phase: A phase, rad: added to that of every sinusoid (paper, random), or by which the square wave is ahead, 2π a
+            period (bang-bang, resonant).
+        bound: The largest force that the control law may assume, N; unset: the true bound.
 
     """
 
@@ -421,11 +430,11 @@ class DisturbanceEntry(Entry):
 
 
 class StateEntry(Entry):
-    """The chaser's state relative to the target, in body axes.
+    """The chaser's state at the start relative to the target, in body axes.
 
     Attributes:
-        position: m.
-        velocity: m/s.
+        position: The position of the chaser's centre, m.
+        velocity: The velocity of the chaser's centre, m/s.
 
     """
 
@@ -434,11 +443,11 @@ class StateEntry(Entry):
 
 
 class GoalEntry(Entry):
-    """Where to go.
+    """The place to go to.
 
     Attributes:
-        position: m.
-        tolerance: reached when it stays within this, m.
+        position: The goal in body axes, m; legs give it where there are any.
+        tolerance: The goal is reached when the chaser stays within this distance of it, m.
 
     """
 
@@ -450,9 +459,9 @@ class ThrusterEntry(Entry):
     """One thruster of a layout of your own.
 
     Attributes:
-        position: from the chaser's centre of mass, m.
-        direction: of the force on the chaser.
-        force: while it is on, N; unset: `thrusters.force`.
+        position: The place of the thruster, from the chaser's centre of mass, m.
+        direction: The direction of the force on the chaser, any length.
+        force: The force while the thruster is on, N; unset: `thrusters.force`.
 
     """
 
@@ -466,24 +475,25 @@ class ThrusterEntry(Entry):
 
 
 class ThrustersEntry(Entry):
-    """What gives the chaser its force: any force at once, or thrusters that are on or off.
+    """The chaser's thrusters: any force at once, or thrusters that are on or off.
 
     Attributes:
         layout: ideal: any force up to chaser.force_limit an axis, at any instant; six, 12, 24: on/off thrusters, one,
             two or four for each direction; own: those of `own`.
-        held_in: axes in which a force is held over a control period: those of the target, which turn with it, or
-            inertial ones, as of a chaser that does not turn; only of ideal thrusters.
-        own: thrusters of a layout of your own, each with position, direction and force.
-        force: of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
-        least_on_time: the shortest pulse, s; less than half of it is not fired.
-        modulation: delta-sigma: what a pulse gives too much or too little is made up for later.
-        specific_impulse: s; 70 is cold nitrogen's, 220 hydrazine's.
-        rise_delay: by which each pulse begins and ends late, s.
-        misalignment: largest angle of a thruster's force to its direction, drawn once a flight, rad.
-        scale_error: largest relative error of a thruster's force, drawn once a flight.
-        detection_time: from when a thruster sticks until the others are fired accordingly, s.
-        survive_failure: whether the guard covers one thruster that sticks, off or on; chaser.force_limit must then be
-            what the others can give.
+        held_in: The axes in which ideal thrusters hold a force over a control period: the target's, which turn with it,
+            or inertial ones, as of a chaser that does not turn.
+        own: The thrusters of a layout of your own, each with position, direction and force.
+        force: The force of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
+        least_on_time: The shortest pulse, s; a pulse of less than half of it is not fired.
+        modulation: How a force becomes pulses: pulse-width; or delta-sigma, by which later pulses make up for what one
+            gives too much or too little.
+        specific_impulse: The specific impulse, s; cold nitrogen has 70, hydrazine 220.
+        rise_delay: The time by which each pulse begins and ends late, s.
+        misalignment: The largest angle of a thruster's force to its direction, drawn once a flight, rad.
+        scale_error: The largest relative error of a thruster's force, drawn once a flight.
+        detection_time: The time from a thruster's sticking until the others are fired accordingly, s.
+        survive_failure: Whether the guard covers one thruster that sticks, off or on; chaser.force_limit must then be a
+            force that the others can give.
 
     """
 
@@ -517,15 +527,17 @@ class NavigationEntry(Entry):
     """What is known of the motion: sensors, the law's estimate, and the guard's certain set.
 
     Attributes:
-        suite: sensors (docs/navigation.md); none: the true state, with the errors of `faults` on it.
-        estimate: what the law flies by; filter: a Kalman filter of motion and disturbance; observer: the last samples
-            and the law's own observer; raw: the last samples alone.
-        position_noise: close: largest error of a position, m; unset: 0.05.
-        velocity_noise: close: largest error of a velocity, m/s; unset: 0.002.
-        dropout: probability that a sample is lost; unset: the suite's own.
-        most_missed: samples that can be lost in a row; unset: the suite's own.
-        initial_position_error: largest error of the first estimate, m; unset: as where no sample is lost.
-        initial_velocity_error: the same of its velocity, m/s; unset: likewise.
+        suite: The sensors: far (GNSS), near (laser range and bearing), close (pose by lidar or camera), or none: the
+            true state with the errors of `faults`.
+        estimate: The estimate that the law flies by: filter, a Kalman filter of motion and disturbance; observer, the
+            last samples and the law's own observer; raw, the last samples alone.
+        position_noise: The largest error of a position of the suite close, m; unset: 0.05.
+        velocity_noise: The largest error of a velocity of the suite close, m/s; unset: 0.002.
+        dropout: The probability that a sample is lost; unset: the suite's own.
+        most_missed: How many samples can be lost in a row; unset: the suite's own.
+        initial_position_error: The largest error of the first position, m; unset: the suite's where no sample is lost.
+        initial_velocity_error: The largest error of the first velocity, m/s; unset: the suite's where no sample is
+            lost.
 
     """
 

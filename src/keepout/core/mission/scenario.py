@@ -45,13 +45,13 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     """One mission: target, chaser, law, environment, start and goal. The defaults are the source paper's Case 1.
 
     Attributes:
-        name: of the mission, for titles and files: letters, digits, `_`, `.` and `-`.
-        seed: of everything that is random.
-        duration: s.
-        epoch: UTC at the start: for exports and the sun.
-        leg: hold points, in order; the last one is the goal.
-        zone: room that nobody may enter.
-        corridor: ways out of ports, beside which nobody may be.
+        name: The mission's name, for titles and files: letters, digits, `_`, `.` and `-`, a letter or digit first.
+        seed: The seed of everything that is drawn at random.
+        duration: How long is flown, s; at least one control period.
+        epoch: The instant at which the flight starts, UTC; exports and the sun's place need it.
+        leg: Hold points, in the order in which they are flown to; the last one is the goal.
+        zone: Room that nobody may enter.
+        corridor: Ways out of ports, beside which nobody may be.
 
     """
 
@@ -409,15 +409,6 @@ def entries_and_tables(kind: type[Entry] = Scenario, within: str = "") -> Iterat
         yield from entries_and_tables(table, f"{name}.")
 
 
-def _entries_of_lists() -> Iterator[tuple[str, type[Entry] | FieldInfo]]:
-    """Give the tables of which a scenario holds any number, and their entries, as `entries_and_tables` does."""
-    for key, field in Scenario.model_fields.items():
-        if get_origin(field.annotation) is tuple and is_table(get_args(field.annotation)[0]):
-            table = get_args(field.annotation)[0]
-            yield f"[{key}]", table
-            yield from entries_and_tables(table, f"{key}.")
-
-
 def with_entries(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     """Give a scenario with the values of some entries, by dotted name, replaced.
 
@@ -474,23 +465,3 @@ def schema() -> dict[str, Any]:
         **Scenario.model_json_schema(),
         "title": "Keepout scenario",
     }
-
-
-def reference() -> str:
-    """Write the table of all entries as Markdown: name, default, what it means."""
-    lines = ["# Scenario entries", "", "SI units. Every entry has a default; an empty file is valid.", ""]
-    lines += ["Made by `python -m keepout.core.mission.scenario`.", "", "| entry | default | meaning |"]
-    lines.append("| --- | --- | --- |")
-    for name, told in (*entries_and_tables(), *_entries_of_lists()):
-        if isinstance(told, FieldInfo):
-            default, meaning = told.get_default(call_default_factory=True), told.description or ""
-            shown = "" if default is None or told.is_required() else f"`{default}`"
-        else:
-            name, shown, meaning = f"**[{name}]**", "", (told.__doc__ or "").splitlines()[0]
-        linked = re.sub(r"docs/([\w-]+)\.md", r"[\1](\1.md)", meaning)
-        lines.append(f"| {name} | {shown} | {linked} |")
-    return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    print(reference(), end="")

@@ -24,11 +24,11 @@ _LOWEST_SUN = math.radians(89.9)
 
 
 class RareEntry(Entry):
-    """What `keepout rare` draws beside the scenario's faults.
+    """Starts that `keepout rare` draws beside the scenario's faults.
 
     Attributes:
-        start_position_std: standard deviation of each axis of the start about start.position, m.
-        start_velocity_std: the same about start.velocity, m/s.
+        start_position_std: The standard deviation of each axis of the start about start.position, m.
+        start_velocity_std: The standard deviation of each axis of the velocity about start.velocity, m/s.
 
     """
 
@@ -41,12 +41,12 @@ class DispersionEntry(Entry):
 
     Attributes:
         uniform: [least, largest]; of a vector: two corners of a box.
-        normal: [mean, standard deviation], cut off at `within`; of a vector: each component.
-        within: of normal: cut off at so many standard deviations.
-        choice: values to choose from.
-        weights: of choice: how often each, relative to the others; unset: all alike.
-        sphere: of a vector: any direction, with this length or one between [least, largest].
-        centre: of sphere: what the vector is added to.
+        normal: [mean, standard deviation], cut off at `within`; of a vector: of each component.
+        within: The number of standard deviations at which normal is cut off.
+        choice: The values to choose from.
+        weights: How often each value of choice is drawn, relative to the others; unset: all alike.
+        sphere: The length of a vector of any direction, or its [least, largest] length.
+        centre: The vector that sphere's is added to.
 
     """
 
@@ -83,14 +83,14 @@ class DispersionEntry(Entry):
 
 
 class CampaignEntry(Entry):
-    """Many flights: from random starts at rest in a box, or with whatever `dispersions` names drawn anew for each.
+    """Many flights: from random starts at rest in a box, or with the entries of `dispersions` drawn anew for each.
 
     Attributes:
-        runs: how many flights.
-        lower: lower corner of the box of starts, m; without dispersions.
-        upper: upper corner of the box of starts, m; without dispersions.
-        sampling: how the dispersed numbers are drawn, over all of them together.
-        dispersions: what varies, by dotted name: `"chaser.mass" = {uniform = [18, 22]}`; see docs/campaigns.md.
+        runs: The number of flights.
+        lower: The lower corner of the box of starts, m; it counts without dispersions.
+        upper: The upper corner of the box of starts, m; it counts without dispersions.
+        sampling: How the dispersed numbers are drawn, over all of them together.
+        dispersions: The entries that vary, by dotted name: `"chaser.mass" = {uniform = [18, 22]}`.
 
     """
 
@@ -106,19 +106,19 @@ class CampaignEntry(Entry):
 
 
 class RequireEntry(Entry):
-    """What must come of a flight, or of a campaign's flights; a command that finds otherwise ends with exit code 3.
+    """What a flight, or a campaign's flights, must show; a command that finds otherwise ends with exit code 3.
 
     Attributes:
-        contact: "proved": the audit proves that nothing was touched; unset: not asked.
-        certified: whether the guard's theorem must hold from the start.
-        clearance_m: least clearance that the audit must prove, m.
-        delta_v_mps: greatest Δv, m/s.
-        time_s: by which the goal must be reached, s.
-        reached: whether the goal must be reached.
-        zones: "proved": the audit proves that no zone was entered and no corridor left; unset: not asked.
-        holds: whether every leg's place must be held for its dwell, and reached in its window.
-        share: of a campaign's runs that must meet each of these, judged by the lower end of its 95 % interval; unset:
-            every run.
+        contact: "proved": the audit proves that nothing was touched; unset: it is not asked.
+        certified: Whether the guard's theorem must hold from the start.
+        clearance_m: The least clearance that the audit must prove, m.
+        delta_v_mps: The greatest Δv, m/s.
+        time_s: The time by which the goal must be reached, s.
+        reached: Whether the goal must be reached.
+        zones: "proved": the audit proves that no zone was entered and no corridor left; unset: it is not asked.
+        holds: Whether every leg's place must be held for its dwell, and reached in its window.
+        share: The share of a campaign's runs that must meet each of these, judged by the lower end of its 95 %
+            interval; unset: every run must.
 
     """
 
@@ -134,30 +134,30 @@ class RequireEntry(Entry):
 
 
 class DepthSensorEntry(Entry):
-    """A camera that measures distances (lidar, stereo), and what it promises (docs/depth-sensor.md).
+    """A camera that measures distances (lidar, stereo), and what it promises.
 
     Attributes:
-        width: pixels in a row.
-        height: rows of pixels.
-        field_of_view: angle between the left and the right edge of the image, rad.
-        rays_across: rays along a pixel's edge; a pixel tells the first return of all its rays.
-        period: between two images, s; whole control periods.
-        latency: from an image to its use, s; whole control periods.
-        mounting: of the sensor from the chaser's centre, in camera axes, m.
-        least_range: m; what is nearer says nothing.
-        greatest_range: m; what is farther does not return.
-        range_error: largest error of a range, m.
-        position_error: largest error of the sensor's place in the map's frame, drift included, m.
-        attitude_error: largest error of the sensor's attitude in the map's frame, drift included, rad.
-        surely_returned_width: parts at least this wide surely return a ray within the range used, m.
-        sure_empty_range: a ray without return is empty out to here, m; 0: no return says nothing.
-        dropout: probability that a return is lost; the sensor says that it was.
-        grazing_angle: incidence beyond which a return is lost, rad; the sensor says that it was.
-        turn_rate: largest rate at which the boresight turns, rad/s.
-        turn_acceleration: largest rate of change of that, rad/s².
-        errors: how errors are drawn: within their bounds, or at them with the worst signs.
-        broken: which promise is broken: range or pose error twice the bound, ranges that mix near and far, lost returns
-            that look like no return, an image of another time.
+        width: The pixels in a row.
+        height: The rows of pixels.
+        field_of_view: The angle between the left and the right edge of the image, rad.
+        rays_across: The rays along a pixel's edge; a pixel tells the first return of all its rays.
+        period: The time between two images, s; whole control periods.
+        latency: The time from an image to its use, s; whole control periods.
+        mounting: The sensor's place from the chaser's centre, in camera axes, m.
+        least_range: The least range, m; a nearer return says nothing.
+        greatest_range: The greatest range, m; a farther surface does not return.
+        range_error: The largest error of a range, m.
+        position_error: The largest error of the sensor's place in the map's frame, drift included, m.
+        attitude_error: The largest error of the sensor's attitude in the map's frame, drift included, rad.
+        surely_returned_width: Parts at least this wide surely return a ray within the range used, m.
+        sure_empty_range: A ray without return is empty out to this range, m; 0: no return says nothing.
+        dropout: The probability that a return is lost; the sensor says that it was.
+        grazing_angle: The angle of incidence beyond which a return is lost, rad; the sensor says that it was.
+        turn_rate: The largest rate at which the boresight turns, rad/s.
+        turn_acceleration: The largest rate of change of that rate, rad/s².
+        errors: How errors are drawn: at random within their bounds, or adversarial, at the bounds with the worst signs.
+        broken: The promise that is broken: a range or pose error of twice the bound, ranges that mix near and far,
+            losses that look like no return, or an image that is of another time (late).
 
     """
 
@@ -188,14 +188,14 @@ class DepthSensorEntry(Entry):
 
 
 class MapEntry(Entry):
-    """The map of room that was seen free; what was not is an obstacle (docs/mapping.md).
+    """The map of room that was seen free; all other room is an obstacle.
 
     Attributes:
-        centre: of the ball that holds the whole target, m.
-        radius: of that ball, m; `keepout explore` asks for it, since nobody knows the target.
-        spacing: edge of the cubes, m.
-        cap: greatest distance that the map tells apart, m, whole spacings; unset: 1.5, rounded up to them.
-        file: a .keepmap file to go on from.
+        centre: The centre of the ball that holds the whole target, m.
+        radius: The radius of that ball, m; `keepout explore` needs it, since nobody knows the target.
+        spacing: The edge of the map's cubes, m.
+        cap: The greatest distance that the map tells apart, m, in whole spacings; unset: 1.5, rounded up to them.
+        file: A .keepmap file to go on from.
 
     """
 
@@ -210,12 +210,12 @@ class ExploreEntry(Entry):
     """What `keepout explore` flies for, and when it ends.
 
     Attributes:
-        towards: goal: open a way to goal.position and fly there; all round: see what can be seen.
-        most_views: images at most.
-        explained: an unknown cube this near to a return belongs to the seen surface, m.
-        expected: a built-in target's name or a mesh file: what the mission believes; where the seen surface departs
-            from it is reported.
-        expected_units: length unit of that file.
+        towards: goal: open a way to goal.position and fly there; all round: see everything that can be seen.
+        most_views: The greatest number of images.
+        explained: An unknown cube this near to a return belongs to the seen surface, m.
+        expected: The target that the mission believes in, a built-in target's name or a mesh file; departures of the
+            seen surface from it are reported.
+        expected_units: The length unit of that file.
 
     """
 
@@ -227,18 +227,19 @@ class ExploreEntry(Entry):
 
 
 class CameraEntry(Entry):
-    """A camera at the chaser's centre that turns on its own, and what a frame must show of a patch (docs/seeing.md).
+    """A camera at the chaser's centre that turns on its own, and what a frame must show of a patch.
 
     Attributes:
-        field_of_view: full angle of the cone about the boresight that counts, rad.
-        pixels: across that cone.
-        least_range: m; what is nearer is not sharp.
-        greatest_range: m; what is farther does not count.
-        greatest_incidence: from a patch's normal to the camera, rad.
-        greatest_sample_distance: on the surface, along its slant, m a pixel; unset: however coarse.
-        period: between two frames, s; whole control periods.
-        turn_rate: largest rate at which the boresight turns, rad/s.
-        turn_acceleration: largest rate of change of that, rad/s2.
+        field_of_view: The full angle of the cone about the boresight that counts, rad.
+        pixels: The pixels across that cone.
+        least_range: The least range, m; nearer surface is not sharp.
+        greatest_range: The greatest range, m; farther surface does not count.
+        greatest_incidence: The greatest angle from a patch's normal to the camera, rad.
+        greatest_sample_distance: The greatest distance of samples on the surface, along its slant, m a pixel; unset: it
+            does not matter.
+        period: The time between two frames, s; whole control periods.
+        turn_rate: The largest rate at which the boresight turns, rad/s.
+        turn_acceleration: The largest rate of change of that rate, rad/s2.
 
     """
 
@@ -261,10 +262,10 @@ class LightEntry(Entry):
     """The light that a patch must be in to count as seen.
 
     Attributes:
-        kind: none: light does not matter; fixed: from `direction` all the time; sun: as it stands over the target from
-            epoch, orbit and attitude (table sun), and not while the Earth hides any of it.
-        direction: fixed: towards the light, in the target's body frame, any length.
-        greatest_incidence: from a patch's normal to the light, rad.
+        kind: none: light does not matter; fixed: it comes from `direction` all the time; sun: from where the sun stands
+            over the target by epoch, orbit and attitude, and not while the Earth hides any of it.
+        direction: The direction towards the light, in the target's body frame, any length; `fixed` needs it.
+        greatest_incidence: The greatest angle from a patch's normal to the light, rad.
 
     """
 
@@ -283,10 +284,10 @@ class ProtectedEntry(Entry):
     """A part of the target that no thruster's plume may reach: a ball, or a box along the body axes.
 
     Attributes:
-        centre: of the ball, body frame, m.
-        radius: of the ball, m; 0: a point.
-        lower: lower corner of the box, body frame, m.
-        upper: upper corner of the box, body frame, m.
+        centre: The centre of the ball, body frame, m.
+        radius: The radius of the ball, m; 0: a point.
+        lower: The lower corner of the box, body frame, m.
+        upper: The upper corner of the box, body frame, m.
 
     """
 
@@ -308,8 +309,8 @@ class HoldPointEntry(Entry):
     """A place where the chaser comes to rest, in the order given, before any view is flown to.
 
     Attributes:
-        position: body frame, m.
-        seconds: for which it is held, s.
+        position: The place in the body frame, m.
+        seconds: How long it is held, s.
 
     """
 
@@ -318,29 +319,29 @@ class HoldPointEntry(Entry):
 
 
 class InspectEntry(Entry):
-    """What `keepout inspect` is to see, by which tour, and the operator's limits (docs/inspection.md).
+    """What `keepout inspect` is to see, by which tour, and the operator's limits.
 
     Attributes:
-        stand_off: least distance of the chaser's centre from the target's surface, m.
-        patch_size: edge of the surface's patches, each seen wholly or not at all, m; unset: 0.25, for a target longer
-            than 80 m 1.0, and for one shorter than 2.5 m a tenth of that length.
-        coverage: share wanted of the area that can be seen, and be lit in time; then the flight ends.
+        stand_off: The least distance of the chaser's centre from the target's surface, m.
+        patch_size: The edge of the surface's patches, each seen wholly or not at all, m; unset: 0.25, for a target
+            longer than 80 m 1.0, and for one shorter than 2.5 m a tenth of that length.
+        coverage: The share of the area that can be seen, and be lit in time, at which the flight ends.
         tour: plan: the views that cover most, in the best order; nearest: always the nearest view that shows something
             new; circumnavigation: natural motion round the target.
-        objective: what the order of the views makes least; both: time + delta_v_worth × Δv.
-        delta_v_worth: objective both: what Δv costs, s per m/s.
-        candidates: places from which views are considered, at most.
-        most_views: in one plan, at most.
-        dwell: for which the chaser stays at each view, s; 0: it flies on.
-        proof_squares: squares of directions looked at, at most, for the proof of what can and cannot be seen: counted
+        objective: What the order of the views makes least: time, delta_v, or both, which is time + delta_v_worth × Δv.
+        delta_v_worth: The price of Δv in the objective both, s per m/s.
+        candidates: The greatest number of places from which views are considered.
+        most_views: The greatest number of views in one plan.
+        dwell: How long the chaser stays at each view, s; 0: it flies on.
+        proof_squares: The greatest number of squares of directions that the proof of what can be seen looks at: counted
             work, the same on every machine.
-        proof_time: by the clock, at most, for that proof, s; where it ends the proof, results say so, and differ from
+        proof_time: The longest time of that proof by the clock, s; if it ends the proof, results say so and differ from
             machine to machine; unset: no clock.
-        passive_safety: for which a chaser that stops thrusting anywhere on its way touches nothing, s.
-        plume_half_angle: of the cone of a thruster's plume, rad.
-        plume_range: beyond which a plume harms nothing, m; unset: however far.
-        no_thrust_towards: parts of the target that no plume may reach, each a ball or a box.
-        hold_points: where the chaser is held first, each with position and seconds.
+        passive_safety: How long a chaser that stops thrusting anywhere on its way touches nothing, s.
+        plume_half_angle: The angle between a thruster's plume's axis and its side, rad.
+        plume_range: The range beyond which a plume harms nothing, m; unset: it always does.
+        no_thrust_towards: Parts of the target that no plume may reach, each a ball or a box.
+        hold_points: Places where the chaser is held first, each with position and seconds.
 
     """
 

@@ -2,7 +2,7 @@
 
 The filter is an extended Kalman filter over x = [r, v, ξ]. The model of r and v is the exact relative motion with the
 force and the disturbance's mean held over each period; its covariance P moves with the linearised motion. See
-docs/navigation-filter.md.
+docs/motion.md.
 """
 
 import dataclasses

@@ -1,7 +1,7 @@
 """A set that holds the truth: two balls, propagated under a bounded acceleration and cut with what each sample proves.
 
 Between control steps r̈ = u + w with ‖w‖ ≤ D, u the commanded force over the mass, held: what the guard assumes
-(docs/guard.md, section 1). docs/navigation.md proves each line below.
+(docs/guard.md, section 1). docs/motion.md proves each line below.
 
 `design` gives the largest radii that the set can have in a flight, known before it: what a guard is built
 for. The radii grow from step to step and are cut by what arrives. A cut leaves at most the smaller ball, and everything

@@ -1,6 +1,6 @@
 """The sensors: relative position and velocity, range and bearing, range rate, attitude of the target.
 
-docs/navigation.md proves each ball. What is measured in axes of the orbital frame (VVLH) is turned into the body's by
+docs/motion.md proves each ball. What is measured in axes of the orbital frame (VVLH) is turned into the body's by
 the attitude of the estimate, whose error is bounded by `attitude_error`.
 """
 

@@ -1,7 +1,7 @@
 """Suites of sensors: three worked ones, which suites are refused, and the navigation that a scenario makes of one.
 
 The worked suites, far, near and close, have typical values: orders of magnitude of what was published, not a data sheet
-of any instrument; docs/navigation.md has their sources. Each is a function of what its losses are, so that a flight
+of any instrument; docs/motion.md has their sources. Each is a function of what its losses are, so that a flight
 without lost samples and one with them have the same sensors.
 """
 

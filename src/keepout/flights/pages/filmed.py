@@ -44,7 +44,7 @@ class Film:
         rate: frames a second.
         size: width and height, pixels.
         pictures: in a row, where the file is a PNG.
-        keys: pressed before, as in docs/replay.md.
+        keys: pressed before, as in docs/flights-out.md.
 
     """
 

@@ -111,7 +111,7 @@ def rare(
     """Measure how probable it is that a flight's clearance falls below a number, by subset simulation.
 
     Random are the scenario's faults, its disturbance of kind "random", and the start as the table `rare` spreads it;
-    all of it drawn from the scenario's seed (docs/rare.md).
+    all of it drawn from the scenario's seed (docs/motion.md).
 
     Args:
         scenario: what to fly: a `Scenario`, the path of its TOML file, or its tables as a dict.
@@ -175,6 +175,6 @@ def _refuse_theorem(mission: Mission, below: float) -> None:
     if mission.start_certified and below <= 0.0 and not (spread.start_position_std or spread.start_velocity_std):
         raise ScenarioError(
             f"{mission.scenario.name}: the guard's theorem covers this scenario, so that a contact has probability 0, "
-            "proved and not measured (docs/guard.md); ask for a clearance above 0 with --below, or fly beyond an "
+            "proved and not measured; ask for a clearance above 0 with --below, or fly beyond an "
             "assumption, such as faults.dropped or faults.position_noise_std"
         )

@@ -365,7 +365,7 @@ def interval(runs: Float[np.ndarray, "runs"], confidence: float = CONFIDENCE) ->
 
     Student's t with the runs' spread, laid on the logarithm of the mean: m exp(± t s / (m √n)). The runs' products are
     skewed to the right, as products are; on the mean itself the interval would end too low, and on the mean of the
-    logarithms it would be of their median (docs/rare.md has what each of them covers).
+    logarithms it would be of their median (docs/motion.md has what each of them covers).
     """
     mean = float(np.mean(runs))
     if mean == 0.0:

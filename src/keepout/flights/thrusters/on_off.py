@@ -13,7 +13,7 @@ each axis. Within a group thrusters fire alike as far as their torques cancel, a
 over.
 
 How far pulses can be from the force asked for, and from the motion under it, is bounded (`thruster_errors`):
-docs/my-thrusters.md. A layout's forces are bounded by N = max ‖Σ F_g |d_g|‖ over the groups that fire together
+docs/motion.md. A layout's forces are bounded by N = max ‖Σ F_g |d_g|‖ over the groups that fire together
 (`Allocation.active`): whatever signs and sizes e_g ≤ e their errors have, ‖Σ e_g F_g d_g‖ ≤ e N.
 """
 

@@ -113,7 +113,7 @@ def seeable(
     """Say of each counted unit whether it can be seen at all from the room allowed, without regard to light.
 
     A unit that is called seeable has a witness, checked by `sight`, the rules and the room. One that is called hidden
-    is proved to be (docs/seeable.md), to a part in 5000 of the stand-off.
+    is proved to be (docs/seeing.md), to a part in 5000 of the stand-off.
 
     Args:
         sight: the mesh and its units.
@@ -402,7 +402,7 @@ def shadow(triangle, frame, outline, height, reach, largest, shadows, slot):
 
     A place p at height h over a patch's centre is written (w, h): p = c + h (w_x e1 + w_y e2 + n). For a triangle and a
     height the directions w from which the whole patch cannot be seen because of it are a convex polygon, and it grows
-    with the height; docs/seeable.md has the theorem. It is made a little smaller than rounding could make it larger.
+    with the height; docs/seeing.md has the theorem. It is made a little smaller than rounding could make it larger.
 
     Args:
         triangle: (9,) corners, m.

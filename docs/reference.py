@@ -1,0 +1,232 @@
+"""Write docs/scenario.md from the table of entries, and docs/commands.md from the command line.
+
+python docs/reference.py           # write both
+python docs/reference.py --check   # exit 1 where one of them is not of this version
+"""
+
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+import typer
+from pydantic.fields import FieldInfo
+from typer.core import TyperArgument
+
+from keepout import cli
+from keepout.core.mission.entries import Entry, ThrusterEntry
+from keepout.core.mission.scenario import Scenario, entries_and_tables, is_table
+from keepout.core.mission.task_entries import DispersionEntry, HoldPointEntry, ProtectedEntry
+
+DOCS = Path(__file__).parent
+SCENARIO = """\
+# Scenario entries
+
+This page answers whoever writes a scenario file: which entries there are, what each means, and which values it takes.
+
+- A line begins with the entry and its default in TOML. It can be copied to the top of a file as it stands, or below its
+  table's header without the table's name. Numbers are in SI units, angles in radians.
+- An empty file is valid: it is the source paper's Case 1. An entry that is *unset* has no default; it is needed only
+  where its meaning says so. An entry that is *needed* must stand in each table of its kind. Words that a meaning names
+  as values are written in quotation marks in a file.
+- `keepout scenario check` names a wrong entry with its line. `--set guard.delay=2` replaces an entry for one command.
+
+`python docs/reference.py` writes this page.
+"""
+SEE = {
+    "target": "my-mesh",
+    "field": "certificate",
+    "chaser": "my-mission",
+    "thrusters": "my-mission",
+    "guard": "faults",
+    "control": "control",
+    "orbit": "my-mission",
+    "attitude": "my-mission",
+    "disturbance": "my-mission",
+    "navigation": "faults",
+    "faults": "faults",
+    "[leg]": "approach",
+    "[zone]": "approach",
+    "[corridor]": "approach",
+    "approach": "approach",
+    "campaign": "campaigns",
+    "require": "campaigns",
+    "rare": "campaigns",
+    "depth_sensor": "mapping",
+    "map": "explore",
+    "explore": "explore",
+    "camera": "inspection",
+    "light": "inspection",
+    "inspect": "inspection",
+}
+"""The page on which a table is used."""
+INNER: Mapping[str, Sequence[tuple[str, type[Entry]]]] = {
+    "thrusters": [("[thrusters.own]", ThrusterEntry)],
+    "campaign": [('campaign.dispersions."ENTRY"', DispersionEntry)],
+    "inspect": [("[inspect.no_thrust_towards]", ProtectedEntry), ("[inspect.hold_points]", HoldPointEntry)],
+}
+"""Tables within tables, after which they stand."""
+
+COMMANDS = """\
+# Command line
+
+This page answers whoever looks for a command, an option or an exit code. `keepout COMMAND --help` says the same, with
+examples. `python docs/reference.py` writes this page from the commands.
+
+| exit code | meaning |
+| --- | --- |
+| 0 | The command did its work. A contact is no failure: it stands in the results. |
+| 1 | The command refused, or the work failed. One line on standard error says why, and what would be valid. |
+| 2 | The command line is not valid: an unknown option, or a value out of its range. |
+| 3 | The work is done and written, and its results do not meet the scenario's `[require]`. |
+| 130 | The command was interrupted. `fit`, `campaign`, `rare` and `reproduce` go on when they are started again. |
+
+## Common options
+
+Each command has the first two, and all but `scenario schema` have `--json`. The last line of a command names the others
+that it has.
+
+- `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met.
+- `--log <path>`: Add all that is said, with times, to this file.
+- `--json`: Print one JSON object on standard output, and all else on standard error. [Files and figures](files.md) has
+  its keys.
+"""
+LEFT_OUT = {"help", "quiet", "log", "as_json"}
+"""Options that every command has."""
+SHARED = ("units", "scale", "drop_stray", "figures", "settings", "seed", "force")
+"""Options that several commands have, described once."""
+
+
+def range_of(spec: Mapping[str, Any]) -> str:
+    """Say in words which values the JSON Schema of an entry allows; nothing where any of its kind are."""
+    if "anyOf" in spec:
+        return " or ".join(dict.fromkeys(filter(None, (range_of(one) for one in spec["anyOf"]))))
+    if "enum" in spec or "const" in spec:
+        return ", ".join(f"`{json.dumps(word)}`" for word in spec.get("enum", [spec.get("const")]))
+    kind = spec.get("type")
+    if kind in ("integer", "number"):
+        return interval(spec) + (" whole" if kind == "integer" and "anyOf" in spec else "")
+    if kind == "array" and "prefixItems" in spec:
+        inner = spec["prefixItems"][0]
+        if inner.get("type") == "array" or "anyOf" in inner:
+            return "3 rows of 3 numbers" if inner.get("type") == "array" else "2 numbers or 2 vectors"
+        return f"{len(spec['prefixItems'])} numbers {interval(inner)}".rstrip()
+    return ""
+
+
+def interval(spec: Mapping[str, Any]) -> str:
+    """Give the bounds of a number, as `0 to 8` or `> 0`."""
+    least, most = spec.get("minimum"), spec.get("maximum")
+    if least is not None and most is not None:
+        return f"{number(least)} to {number(most)}"
+    signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+    return ", ".join(f"{sign} {number(spec[key])}" for key, sign in signs.items() if key in spec)
+
+
+def number(value: float) -> str:
+    """Write a bound: exactly where it is a whole number, else with four digits."""
+    return str(int(value)) if value == int(value) and value % 1e6 else f"{value:.4g}".replace("e+0", "e")
+
+
+def toml(value: Any) -> str:
+    """Write a default as TOML."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def entry_line(name: str, field: FieldInfo, spec: Mapping[str, Any]) -> str:
+    """Give the line of one entry: TOML with its default, values, meaning."""
+    default = None if field.is_required() else field.get_default(call_default_factory=True)
+    values, said = range_of(spec), field.description or ""
+    words = [word.strip('`"') for word in values.split(", ")]
+    if values.startswith("`") and all(word in said for word in words):
+        values = ""
+    if default is None:
+        head = f"`{name}` (" + ("needed" if field.is_required() else "unset") + (f"; {values})" if values else ")")
+    else:
+        values = "" if values.endswith("numbers") else values
+        head = f"`{name} = {toml(default)}`" + (f" ({values})" if values else "")
+    return f"- {head}: {said}."
+
+
+def table_lines(title: str, table: type[Entry], prefix: str) -> Iterator[str]:
+    """Give the section of one table; of its entries those that are no tables themselves."""
+    page = SEE.get(title)
+    said = (table.__doc__ or "").splitlines()[0]
+    yield from (f"## [{title}]", "", said + (f" See [{page}]({page}.md)." if page else ""), "")
+    properties = table.model_json_schema()["properties"]
+    for key, field in table.model_fields.items():
+        if not is_table(field.annotation):
+            yield entry_line(prefix + key, field, properties[key])
+    yield ""
+
+
+def scenario_page() -> str:
+    """Give the page of all scenario entries."""
+    lines = [SCENARIO]
+    lines += [line.replace("## [scenario]", "## No table") for line in table_lines("scenario", Scenario, "")]
+    for key, field in Scenario.model_fields.items():
+        if get_origin(field.annotation) is tuple and is_table(get_args(field.annotation)[0]):
+            lines += table_lines(f"[{key}]", get_args(field.annotation)[0], "")
+    for name, told in entries_and_tables():
+        if not isinstance(told, FieldInfo):
+            lines += table_lines(name, told, f"{name}.")
+            for inner in INNER.get(name, ()):
+                lines += table_lines(*inner, "")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def commands_of(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Give every command with its full name, in the order of the help."""
+    if not hasattr(command, "list_commands"):
+        yield name, command
+        return
+    context = typer.Context(command)
+    for key in command.list_commands(context):
+        yield from commands_of(command.get_command(context, key), f"{name} {key}")
+
+
+def option_line(option: Any, context: typer.Context) -> str:
+    """Give the line of one argument or option: how it is written, what it does, its default."""
+    written, said = option.get_help_record(context)
+    said, bracket, ending = said.partition("  [")
+    default = ending.removesuffix("]").replace("default: ", "default ")
+    if isinstance(option, TyperArgument):
+        return f"- `{option.name.upper()}{'…' if option.nargs == -1 else ''}`: {said}"
+    return f"- `{written}`" + (f" ({default})" if bracket else "") + f": {said}"
+
+
+def commands_page() -> str:
+    """Give the page of all commands."""
+    shared: dict[str, str] = {}
+    lines: list[str] = []
+    for name, command in commands_of(typer.main.get_command(cli.app), "keepout"):
+        context = typer.Context(command)
+        said = [part for part in (command.help or "").split("\n\n") if not part.startswith("Exit code 3")]
+        lines += [f"## {name}", "", *(" ".join(part.split()) + "\n" for part in said)]
+        also = []
+        for option in command.params:
+            line = option_line(option, context)
+            if option.name in SHARED:
+                also.append(f"`{option.opts[0]}`")
+                if "default 0" not in line:  # commands on meshes draw points by a seed of their own
+                    shared.setdefault(option.name, line)
+            elif option.name not in LEFT_OUT:
+                lines.append(line)
+        lines += [f"- Common options: {', '.join(also)}."] * bool(also) + [""]
+    common = [shared[name] for name in SHARED]
+    return "\n".join([COMMANDS.rstrip(), *common, "", *lines]).rstrip() + "\n"
+
+
+def main() -> None:
+    """Write the pages, or check them."""
+    for page, text in (("scenario", scenario_page()), ("commands", commands_page())):
+        path = DOCS / f"{page}.md"
+        if "--check" not in sys.argv:
+            path.write_text(text, encoding="utf-8")
+        elif not path.exists() or path.read_text(encoding="utf-8") != text:
+            sys.exit(f"{path.name}: not of this version; run python docs/reference.py")
+
+
+if __name__ == "__main__":
+    main()
