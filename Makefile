@@ -19,7 +19,7 @@ AS_USED = $(shell grep -rlw mark.as_used tests --include='test_*.py')
 # Without them each start of Python would compile 1,800 modules of the libraries anew: 5 s a command.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo core check test test-all lint style types quick-tests as-used-tests other-tests format install docs shipped replay-bundle basilisk release-check clean
+.PHONY: help demo core check test test-all lint style types quick-tests as-used-tests other-tests format install docs shipped replay-bundle flight-code basilisk release-check clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
@@ -31,6 +31,7 @@ help:
 	@echo "make docs      build the documentation site into out/site"
 	@echo "make shipped   remake the learned fields that ship with the package"
 	@echo "make replay-bundle  bundle the replay's viewer into the package again (needs Node.js and npm)"
+	@echo "make flight-code  compare the exported C with Python, and one compiler's bits with another's"
 	@echo "make basilisk  fly law and guard as flight software in Basilisk, in an environment of its own"
 	@echo "make release-check  build wheel and sdist, check them, and run the first tutorial from the wheel alone"
 	@echo "make clean     remove the environment and all outputs"
@@ -116,6 +117,9 @@ docs: install
 
 shipped: install
 	$(BIN)/python benchmarks/shipped.py
+
+flight-code: install
+	$(BIN)/python benchmarks/flight_code.py
 
 basilisk: .venv-basilisk/.installed
 	.venv-basilisk/bin/python examples/basilisk/fly.py --out out/basilisk

@@ -62,7 +62,7 @@ def export(
     to: Annotated[
         str,
         typer.Option(
-            help="The format: of a flight oem, aem, czml, csv, parquet, npz or glb; of a field onnx or glb; of a mission c."
+            help="The format: of a flight oem, aem, czml, csv, parquet, npz, glb; of a field onnx, glb; of a mission c."
         ),
     ],
     out: Annotated[Path, into("The file to write; of flight code the folder.")],
