@@ -4,7 +4,7 @@ python benchmarks/flight_code.py                  # the missions below, 10 000 s
 python benchmarks/flight_code.py --steps 100000   # more of them
 
 Each step starts from Python's memory, put into the C code's, so that differences do not add up; estimates are wrong,
-jump, are no numbers or are far away. Closed loops are each on its own. A compiler that is not installed is skipped, with
+jump, are no numbers or are far away. Closed loops are each on its own. A compiler that is not there is skipped, with
 a word.
 """
 

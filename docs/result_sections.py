@@ -177,7 +177,7 @@ def settings() -> list[str]:
     length, error = best_setting()
     words = [
         "`python benchmarks/reach.py --flights 128 --laws paper --slowing 1.5 5 10 20 --gradient 0 0.2 0.42 0.9 "
-        "largest`; discussed in [From the paper to the code](from-paper-to-code.md#the-error-of-the-gradient). The "
+        "largest`; discussed in [The control law](control.md#the-error-of-the-gradient). The "
         "last e_∇h of each target is the largest among 20,000 points. Over all targets most flights reach the goal "
         f"without contact at k_p = {length:g} m and e_∇h = {error:g}: that setting is its best in the README and "
         "among the rivals. Case 3 has a best of its own for each target.",
@@ -253,7 +253,7 @@ def navigation() -> list[str]:
         ratios = [one / other for one, other in pairs if one and other]
         rows.append(dict.fromkeys(NAVIGATION) | row | {"ratio": statistics.median(ratios) if ratios else None})
     words = [
-        "`python benchmarks/navigation.py`; discussed in [Navigation](navigation.md). Law and guard fly on on/off "
+        "`python benchmarks/navigation.py`; discussed in [Navigation](motion.md). Law and guard fly on on/off "
         "thrusters (six, Δ-Σ, 20 ms); the pairs are those of the table of every law. Estimate none: the true state. "
         "Δv over noise-free: the median of the ratios to the same pair on the true state. Guard share: of all steps, "
         "those in which the guard replaced the command.",
@@ -278,7 +278,7 @@ def stuck() -> list[str]:
     """Give flights with every thruster of a layout stuck."""
     rows = [dict.fromkeys(STUCK) | row for row in kept_file("stuck_thrusters")]
     words = [
-        "`python benchmarks/stuck_thrusters.py`; discussed in [Your thrusters](my-thrusters.md). The flights of a row "
+        "`python benchmarks/stuck_thrusters.py`; discussed in [Motion and navigation](motion.md). The flights of a row "
         "are spread over all thrusters. Covered: the scenario declares the failure, and the guard is built for it.",
         *note("stuck_thrusters"),
     ]
@@ -342,7 +342,7 @@ def training() -> list[str]:
 
 def errata() -> list[str]:
     """Give what each slip of the paper does."""
-    words = ["`python benchmarks/errata.py`; discussed in [From the paper to the code](from-paper-to-code.md)."]
+    words = ["`python benchmarks/errata.py`; discussed in [The control law](control.md)."]
     return measured("The paper's errata, measured", words, kept_file("errata"), ERRATA)
 
 
@@ -351,7 +351,7 @@ def rivals() -> list[str]:
     most: dict[tuple[str, str, bool], Mapping[str, Any]] = {}
     for row in sorted(kept_file("rivals"), key=lambda row: row["flights"]):
         most[row["target"], row["rival"], row["guard"]] = row  # a row of fewer flights was flown first
-    words = ["`python benchmarks/rivals.py`; discussed in [Rivals](rivals.md).", *note("rivals")]
+    words = ["`python benchmarks/rivals.py`; discussed in [Reproduce the paper](reproduce.md).", *note("rivals")]
     lines = measured("Rivals on the same loop", words, [most[key] for key in sorted(most)], RIVALS)
     swept = [row | {"setting": _setting(row["setting"])} for row in kept_file("rival_sweeps")]
     said = "**Each choice of a rival's numbers: 64 pairs round `intelsat30`, no guard; reached: without contact**"
@@ -381,7 +381,7 @@ def rare_events() -> list[str]:
     lines = [
         "## Rare events",
         "",
-        "`python benchmarks/rare.py crossing`, `flights` and `table`; discussed in [Rare events](rare.md). A group "
+        "`python benchmarks/rare.py crossing`, `flights` and `table`; discussed in [Campaigns](campaigns.md). A group "
         "is one answer: 8 runs of 1024 tapes a level, and the 95 % interval from their spread. Cover is the share of "
         "groups whose interval holds the truth.",
         "",
@@ -483,7 +483,7 @@ def startup() -> list[str]:
     }
     rows = [dict.fromkeys(columns) | row | {"what": name} for name, row in kept["medians"].items()]
     words = [
-        "`python benchmarks/startup.py`; discussed in [Start-up time](startup.md). A process of its own a row, on "
+        "`python benchmarks/startup.py`; discussed in [First flight](tutorial.md). A process of its own a row, on "
         f"{kept['cores']} cores; {f'medians of {runs}' if runs > 1 else 'one run each'}. Cold: with an empty folder "
         "for compiled programs; warm: with the folder that the row before has filled.",
         *note("startup"),
@@ -506,7 +506,7 @@ def learning() -> list[str]:
         f"`python benchmarks/gym_steps.py --out benchmarks/results/gym.json`: {kept['envs']} environments of the "
         f"built-in mission on {kept['cores']} cores, nothing recorded, with random actions and with such as lead "
         f"straight to the goal. Medians of {kept['repeats']}, by the clock, and processor time; beside them one "
-        "environment in a loop. [Learn a policy behind the guard](own/gym.md).",
+        "environment in a loop. [Learn a policy behind the guard](own-parts.md).",
         *note("gym"),
     ]
     rows = [row | {name: round(row[name]) for name in rates} for row in kept["rows"]]
