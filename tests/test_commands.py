@@ -120,24 +120,31 @@ def folder(tmp_path_factory):
 
 
 AS_USED = {"XLA_FLAGS": ""}
-"""A fit and a flight are compiled as a user has them, all else as quickly as other tests."""
+"""A flight is compiled as a user has it, all else as quickly as other tests; `make test-all` has all as users do."""
+COARSE = """
+from keepout.flights.pages import drawn
+drawn._CELLS_ALONG //= 2
+from keepout.cli import main
+main()
+"""
+"""Surfaces with a quarter of the triangles that a page has, as `coarse_surfaces` has them in this process."""
 CHOSEN = ("--profile", "quick", "--batch", 384)
 FIT = ("fit", "box", "-o", "box.keepout", *CHOSEN, "--chaser-radius", RADIUS, "--certify", "--json")
 
 
 @pytest.fixture(scope="module")
 def fitted(folder):
-    return keepout_process(folder, *FIT, program=ROUGH, **AS_USED)
+    return keepout_process(folder, *FIT, program=ROUGH)
 
 
 @pytest.fixture(scope="module")
 def flown(folder, fitted):
-    return keepout_process(folder, "fly", "mission.toml", "-o", "flight", "--json", **AS_USED)
+    return keepout_process(folder, "fly", "mission.toml", "-o", "flight", "--json", program=COARSE, **AS_USED)
 
 
 @pytest.fixture(scope="module")
 def campaign(folder):
-    return keepout_process(folder, "campaign", "drawn.toml", "-o", "many", "--keep", "all", "--json")
+    return keepout_process(folder, "campaign", "drawn.toml", "-o", "many", "--keep", "all", "--json", program=COARSE)
 
 
 def written(folder: Path) -> Any:
@@ -220,7 +227,7 @@ def test_a_fit_is_certified_in_the_same_command_and_no_search_beats_it(folder, f
 
 def test_a_fit_begins_with_another_field_and_ends_at_the_bound(folder, fitted):
     command = ("fit", "box", "-o", "second.keepout", *CHOSEN, "--from", "box.keepout", "--until-bound", 10.0)
-    said = keepout_process(folder, *command, "--at-most", 600, "--json", program=ROUGH, **AS_USED)
+    said = keepout_process(folder, *command, "--at-most", 600, "--json", program=ROUGH)
     training = FieldModel.load(folder / "second.keepout", target=Target.load("box")).training
     assert said["ended"] == training["ended"] == "bound"
     assert said["sampled_maximum_m"] <= 10.0
@@ -364,7 +371,9 @@ def test_the_ten_lines_of_readme(folder, flown):
 
 
 def test_replay(folder, flown):
-    told = told_by_process(folder, "replay", flown["flight"], "-o", "again.html", "--title", "Once more", **AS_USED)
+    told = told_by_process(
+        folder, "replay", flown["flight"], "-o", "again.html", "--title", "Once more", program=COARSE, **AS_USED
+    )
     assert "open again.html" in told
     assert "<title>Once more</title>" in (folder / "again.html").read_text(encoding="utf-8")
 
@@ -405,7 +414,7 @@ def test_a_campaigns_summary_is_that_of_its_rows_and_these_are_its_flights(folde
 def test_campaign_report_compare_and_replay(folder, campaign):
     page = folder / "many" / "index.html"
     page.unlink()
-    told = told_by_process(folder, "campaign", "report", "many")
+    told = told_by_process(folder, "campaign", "report", "many", program=COARSE)
     assert "no contact" in told
     assert "open many/index.html" in told
     assert page.exists()
@@ -417,6 +426,7 @@ def test_campaign_report_compare_and_replay(folder, campaign):
     assert (said["equal"], said["differences"]) == (True, {})
 
 
+@pytest.mark.usefixtures("coarse_surfaces")
 def test_a_campaign_that_is_there_is_judged_by_what_is_required_now(folder, campaign):
     """No flight is flown again for it; a command that finds too few runs that meet it ends with exit code 3."""
     command = ("campaign", "drawn.toml", "-o", "many", "--keep", "none", "--set", "require.contact=proved", "--set")
@@ -447,7 +457,7 @@ def kept_map(folder):
 
 
 def test_explore_goes_on_from_the_map_and_frees_no_cube_that_meets_the_box(folder, kept_map):
-    summary = keepout_process(folder, "explore", "explore.toml", "-o", "explored", "--json")
+    summary = keepout_process(folder, "explore", "explore.toml", "-o", "explored", "--json", program=COARSE)
     assert written(folder / "explored") == summary
     files = {"map.keepmap", "unknown.parquet", "index.html", "replay.html", "seen.png", "map.png"}
     assert {path.name for path in (folder / "explored").iterdir()} >= files
