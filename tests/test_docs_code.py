@@ -113,7 +113,7 @@ def runnable(page: Path) -> list[str]:
     return [text for language, text in blocks(page) if language == "python"]
 
 
-# Pages of the gallery are run by docs/gallery.py, examples by tests/test_examples.py, notebooks by tests/test_gallery.py.
+# Pages of the gallery show files that tests/test_examples.py and tests/test_gallery.py run.
 RUN = [p for p in PAGES if runnable(p) and named(p) not in ELSEWHERE and p.parent.name != "gallery"]
 
 
