@@ -99,7 +99,7 @@ def inspecting() -> list[str]:
 def full_covers() -> list[str]:
     """Give the fewest views that see all that any candidate sees."""
     words = [
-        "`python benchmarks/inspection_plans.py`; discussed in [Planning](inspection-planning.md). The fewest views "
+        "`python benchmarks/inspection_plans.py`; discussed in [Seeing](seeing.md). The fewest views "
         "that together see all that any candidate sees, and the bound: no choice of fewer of these candidates sees as "
         "much. Other candidates might do with fewer. Stand-off 1.5 m, range 10 m, cone and incidence 60°, patches of "
         "0.25 m. A plan's candidates show a patch with room for a flight's errors. The seconds are of the choice and "
@@ -115,7 +115,7 @@ def full_covers() -> list[str]:
 def public_inspection() -> list[str]:
     """Give the public inspection task of act3 by both readings."""
     words = [
-        "`python benchmarks/act3_inspection.py`; discussed in [The inspection task of act3](act3-inspection.md). Δv "
+        "`python benchmarks/act3_inspection.py`; discussed in [Reproduce the paper](reproduce.md). Δv "
         "and time are medians.",
         *note("act3_inspection"),
     ]
