@@ -30,7 +30,9 @@ EXAMPLES = REPOSITORY / "examples"
 GALLERY = REPOSITORY / "docs" / "gallery"
 WIDTH, MOST = 900, 60_000
 """Of a picture: pixels, bytes."""
-SHOWN = 40
+MACHINE = re.compile(r"│ (seconds|processors|computed in s) ")
+"""Begins a printed line that tells of the machine, which no page has."""
+SHOWN = 60
 """Printed lines of a page; of more, those in the middle are left out."""
 FLOWN = "import runpy, sys; flown = runpy.run_path(sys.argv[1], run_name='__main__'); flown['flight'].plot(sys.argv[2])"
 """Runs an example as it is, and draws the flight that it leaves."""
@@ -238,7 +240,7 @@ def keep(name: str, printed: str, pictures: list[bytes]) -> None:
     names = [f"{name}-{number}.png" for number in range(len(pictures))]
     for one, picture in zip(names, pictures):
         (GALLERY / one).write_bytes(small(picture))
-    lines = [line.rstrip() for line in printed.splitlines()]
+    lines = [line.rstrip() for line in printed.splitlines() if not MACHINE.match(line)]
     if len(lines) > SHOWN:
         lines = [*lines[: SHOWN // 2], "...", *lines[-SHOWN // 2 :]]
     (GALLERY / f"{name}.md").write_text(page(name, "\n".join(lines), names), encoding="utf-8")

@@ -151,7 +151,7 @@ ADVERSARY = {
 def origins() -> list[str]:
     """Give where each table comes from: command, machine, date, and the commit with which it was kept."""
     columns = {key: key for key in ("tables", "command", "machine", "date", "commit")}
-    rows = [{"tables": name, **entry} for name, entry in (kept_file("origins") | kept_file("printed")).items()]
+    rows = [{"tables": name, **entry} for name, entry in kept_file("origins").items()]
     rows = [row | {"command": f"`{row['command']}`"} for row in rows]
     return measured("Where the figures come from", [], rows, columns)
 
@@ -253,8 +253,9 @@ def navigation() -> list[str]:
         ratios = [one / other for one, other in pairs if one and other]
         rows.append(dict.fromkeys(NAVIGATION) | row | {"ratio": statistics.median(ratios) if ratios else None})
     words = [
-        "`python benchmarks/navigation.py`; discussed in [Navigation](motion.md). Law and guard fly on on/off "
-        "thrusters (six, Δ-Σ, 20 ms); the pairs are those of the table of every law. Estimate none: the true state. "
+        "`python benchmarks/navigation.py`; discussed in [Motion and navigation](motion.md). Law and guard fly on "
+        "on/off thrusters (six, Δ-Σ, 20 ms); the pairs are those of the table of every law. Estimate none: the true "
+        "state. "
         "Δv over noise-free: the median of the ratios to the same pair on the true state. Guard share: of all steps, "
         "those in which the guard replaced the command.",
         *note("navigation"),
@@ -342,7 +343,7 @@ def training() -> list[str]:
 
 def errata() -> list[str]:
     """Give what each slip of the paper does."""
-    words = ["`python benchmarks/errata.py`; discussed in [The control law](control.md)."]
+    words = ["`python benchmarks/errata.py`; discussed in [The control law](control.md#the-papers-equations-1-to-48)."]
     return measured("The paper's errata, measured", words, kept_file("errata"), ERRATA)
 
 
@@ -351,7 +352,11 @@ def rivals() -> list[str]:
     most: dict[tuple[str, str, bool], Mapping[str, Any]] = {}
     for row in sorted(kept_file("rivals"), key=lambda row: row["flights"]):
         most[row["target"], row["rival"], row["guard"]] = row  # a row of fewer flights was flown first
-    words = ["`python benchmarks/rivals.py`; discussed in [Reproduce the paper](reproduce.md).", *note("rivals")]
+    words = [
+        "`python benchmarks/rivals.py`; discussed in "
+        "[Reproduce the paper](reproduce.md#compare-laws-on-the-same-pairs).",
+        *note("rivals"),
+    ]
     lines = measured("Rivals on the same loop", words, [most[key] for key in sorted(most)], RIVALS)
     swept = [row | {"setting": _setting(row["setting"])} for row in kept_file("rival_sweeps")]
     said = "**Each choice of a rival's numbers: 64 pairs round `intelsat30`, no guard; reached: without contact**"
@@ -381,7 +386,8 @@ def rare_events() -> list[str]:
     lines = [
         "## Rare events",
         "",
-        "`python benchmarks/rare.py crossing`, `flights` and `table`; discussed in [Campaigns](campaigns.md). A group "
+        "`python benchmarks/rare.py crossing`, `flights` and `table`; discussed in "
+        "[Campaigns and rare events](campaigns.md#rare-events). A group "
         "is one answer: 8 runs of 1024 tapes a level, and the 95 % interval from their spread. Cover is the share of "
         "groups whose interval holds the truth.",
         "",
@@ -483,7 +489,8 @@ def startup() -> list[str]:
     }
     rows = [dict.fromkeys(columns) | row | {"what": name} for name, row in kept["medians"].items()]
     words = [
-        "`python benchmarks/startup.py`; discussed in [First flight](tutorial.md). A process of its own a row, on "
+        "`python benchmarks/startup.py`; discussed in "
+        "[Install and first flight](tutorial.md#what-is-kept-on-your-disk). A process of its own a row, on "
         f"{kept['cores']} cores; {f'medians of {runs}' if runs > 1 else 'one run each'}. Cold: with an empty folder "
         "for compiled programs; warm: with the folder that the row before has filled.",
         *note("startup"),
@@ -506,20 +513,104 @@ def learning() -> list[str]:
         f"`python benchmarks/gym_steps.py --out benchmarks/results/gym.json`: {kept['envs']} environments of the "
         f"built-in mission on {kept['cores']} cores, nothing recorded, with random actions and with such as lead "
         f"straight to the goal. Medians of {kept['repeats']}, by the clock, and processor time; beside them one "
-        "environment in a loop. [Learn a policy behind the guard](own-parts.md).",
+        "environment in a loop. [Learn a policy behind the guard](own-parts.md#learn-a-policy-behind-the-guard).",
         *note("gym"),
     ]
     rows = [row | {name: round(row[name]) for name in rates} for row in kept["rows"]]
     return measured("Environments for learning", words, rows, columns)
 
 
-def printed() -> list[str]:
-    """Give the tables of benchmarks that keep no file of their own."""
-    lines = []
-    for entry in kept_file("printed").values():
-        words = [f"`{entry['command']}`: {entry['note']}."]
-        lines += measured(entry["title"], words, entry["rows"], {key: key for key in entry["rows"][0]})
-    return lines
+def fits() -> list[str]:
+    """Give the fields that ship, certified, with the grid of exact distances beside each."""
+    columns = {
+        "target": "target",
+        "field": "field",
+        "megabytes": "MB",
+        "error_bound_point_m": "e_h m, R = 0",
+        "found_point_m": "found",
+        "error_bound_half_metre_m": "e_h m, R = 0.5 m",
+        "found_half_metre_m": "found, R = 0.5 m",
+        "p95_point_m": "p95 m, R = 0",
+        "p95_half_metre_m": "p95 m, R = 0.5 m",
+        "hessian_p99_at_0.3_m": "‖∇²f̃‖ p99 at 0.3 m",
+    }
+    words = [
+        "`python benchmarks/fits.py intelsat30 iss --fields out/fits --json benchmarks/results/fits.json`, "
+        "with the shipped fields in `out/fits`; discussed in [The shape](certificate.md). e_h is certified. Found: the "
+        "largest value that search and proof met. p95: of the distance from the certified level to the true contact "
+        "surface. The grid has the spacing of the network's p95.",
+    ]
+    return measured("Fields, fitted and certified", words, kept_file("fits"), columns)
+
+
+def slopes() -> list[str]:
+    """Give how tight the bounds of a network's slope over cubes are."""
+    columns = {
+        "stand_off_m": "from the surface m",
+        "largest_slope": "largest ‖∇f̃‖ at the centres",
+        "side_m": "side m",
+        "median": "bound, median",
+        "p99": "99 %",
+        "largest": "largest",
+    }
+    words = [
+        "`python benchmarks/slopes.py intelsat30 --table --out benchmarks/results/slopes.json`; discussed in [The "
+        "shape](certificate.md). Bounds of the slope over cubes at random places, by the side of the cube.",
+    ]
+    rows = [row for row in kept_file("slopes") if row["side_m"] in (0.02, 0.05, 0.1, 0.2)]
+    return measured("Bounds of the slope of intelsat30's network over cubes", words, rows, columns)
+
+
+def guard_fields() -> list[str]:
+    """Give what is proved of the guard's fields, and what a search finds."""
+    columns = {
+        "target": "target",
+        "spacing_m": "spacing m",
+        "gradient_bound": "L",
+        "largest_slope_found": "largest slope found",
+        "error_bound_m": "e_h m",
+        "threshold_m": "θ m",
+        "evaluation_error_m": "j m",
+        "largest_jump_found_m": "largest jump found m",
+        "allowance_m": "allowance m",
+    }
+    words = [
+        "`python benchmarks/guard_field.py --out benchmarks/results/guard_field.json`; discussed in "
+        "[The shape](certificate.md). For a chaser of 0.5 m; searches start from 1,000,000 points in and beyond the "
+        "domain. A jump is at most 2 j.",
+    ]
+    return measured("The guard's field", words, kept_file("guard_field"), columns)
+
+
+def theorems() -> list[str]:
+    """Give in how many states the paper's two theorems hold over one period."""
+    columns = {
+        "law": "law",
+        "case": "case",
+        "states": "states",
+        "barrier_condition_fails": "h₁ condition fails in",
+        "worst_barrier_margin_m": "worst h₁(T) − e^(−β_c T) h₁(0), m",
+        "leaves_safe_set": "leaves {h₁ ≥ 0} in",
+        "least_h1_m": "least h₁(T), m",
+        "lyapunov_grows": "V₁ grows in",
+        "worst_lyapunov_growth": "largest V₁(T)/V₁(0) − 1",
+    }
+    words = [
+        "`python benchmarks/theorems.py --out benchmarks/results/theorems.json`; discussed in [The "
+        "law](control.md#the-papers-two-theorems-and-what-is-flown). Random states inside {h₁ ≥ 0} around a sphere, "
+        "one period each, the disturbance known; shares of the states.",
+    ]
+    return measured("The two theorems over one period", words, kept_file("theorems"), columns)
+
+
+def motion() -> list[str]:
+    """Give the error of one integration step a second."""
+    columns = {"target": "target", "error_1_substep_m": "1 substep, m", "error_4_substeps_m": "4 substeps, m"}
+    words = [
+        "`python benchmarks/motion.py --out benchmarks/results/motion.json`; discussed in [Motion and "
+        "navigation](motion.md). Against steps 32 times finer.",
+    ]
+    return measured("Error of the motion after 3000 s, one step a second", words, kept_file("motion"), columns)
 
 
 def exploring() -> list[str]:
@@ -607,6 +698,10 @@ SECTIONS = (
     campaigns,
     startup,
     learning,
-    printed,
+    fits,
+    slopes,
+    guard_fields,
+    theorems,
+    motion,
 )
 """As they stand on the page."""

@@ -4,7 +4,7 @@ python docs/results.py           # write both
 python docs/results.py --check   # exit 1 where one of them is not of these results
 
 Every figure comes from a file under benchmarks/results, and every file from a command that the page names. Machine,
-date and commit of each stand in origins.json, and for benchmarks that keep no file of their own in printed.json.
+date and commit of each stand in origins.json.
 """
 
 import sys
@@ -26,7 +26,8 @@ def page() -> str:
         "# Results",
         "",
         "`python docs/results.py` writes this page from the files under `benchmarks/results`. [Limits](safety.md) says "
-        "which statements are proved and which are measured.",
+        "which statements are proved and which are measured. Meshes of `../shared/meshes` are public models that the "
+        "checkout does not hold: `tests/truths/real_meshes.py` names the source of each.",
         "",
     ]
     return "\n".join(lines + [line for section in SECTIONS for line in section()]).rstrip() + "\n"
