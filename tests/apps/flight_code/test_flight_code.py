@@ -1,10 +1,12 @@
 """The exported C: what it refuses, and that compiled it answers as Python does, to rounding, statuses and all."""
 
 import dataclasses
+import json
 import re
 import shutil
 import struct
 import subprocess
+import sys
 import zlib
 from pathlib import Path
 
@@ -39,9 +41,16 @@ def made(mission: Mission) -> Coded:
 
 
 @pytest.fixture(scope="module")
-def folder(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("flight_code") / "flight"
-    summary = write_flight_code(mission, out)
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write it by the command, as a user does."""
+    base = tmp_path_factory.mktemp("flight_code")
+    scenario, out = base / "mission.toml", base / "flight"
+    entries = "".join(f"{name} = {value}\n" for name, value in ERRORS["guard"].items())
+    scenario.write_text(f"[guard]\n{entries}", encoding="utf-8")
+    command = [sys.executable, "-m", "keepout.cli", "export", str(scenario), "--to", "c", "-o", str(out), "--json"]
+    answer = subprocess.run(command, capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+    summary = json.loads(answer.stdout)
     assert set(summary["files"]) == {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     assert summary["tables_bytes"] < 3.5e6
     assert "@" not in (out / "README.md").read_text(encoding="utf-8")
