@@ -15,7 +15,6 @@ from keepout.core.control.law import AheadOfDelay
 
 HARNESS = Path(__file__).parent / "flight_code_harness" / "harness.c"
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
-MOST_DELAY = 8
 ESTIMATE = np.dtype(
     [
         ("time", "f8"),

@@ -61,15 +61,33 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("changes", "named"),
     [
         ({"orbit": {"j2": True}}, "orbit.j2"),
+        ({"drag": {"density": 1e-12}}, "drag"),
+        ({"thrusters": {"layout": "six"}}, "thrusters.layout"),
+        ({"navigation": {"suite": "far"}}, "navigation.suite"),
         ({"control": {"observer": "printed"}}, "control.observer"),
-        ({"faults": {"law": "bang-bang"}}, "law"),
+        ({"control": {"circulation": "switching"}}, "control.circulation"),
+        ({"control": {"profile": "paper"}}, "control.profile"),
+        ({"faults": {"law": "bang-bang"}}, "faults.law"),
+        ({"approach": {"abort": "drift"}}, "approach rules"),
+        ({"thrusters": {"held_in": "inertial"}, "guard": {"delay": 1}}, "thrusters.held_in"),
     ],
 )
-def test_a_mission_that_the_code_cannot_fly_is_refused_by_name(changes: dict, named: str, tmp_path: Path):
+def test_a_scenario_that_the_code_cannot_fly_is_refused_by_name(changes: dict, named: str, tmp_path: Path):
     out = tmp_path / "flight"
     with pytest.raises(ExchangeError, match=named):
         write_flight_code(Scenario().replace(**changes), out)
     assert not out.exists()
+
+
+def test_parts_of_ones_own_are_refused_by_what_they_are(mission: Mission, tmp_path: Path):
+    goal = mission.setup.controller.goal
+    own = mission.with_law(keepout.PolicyLaw(goal, lambda away, velocity, time: -0.01 * away - 0.2 * velocity))
+    with pytest.raises(ExchangeError, match="the law is a PolicyLaw"):
+        write_flight_code(own, tmp_path / "flight")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ExchangeError, match="file"):
+        write_flight_code(mission, tmp_path / "file")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_the_packed_field_differs_by_no_more_than_the_guard_is_told(mission: Mission, made: Coded):
@@ -141,14 +159,16 @@ def test_steps_answer_as_python_does_whatever_is_told(made: Coded, folder: Path)
         moved = setup.motion.step(truth, force, setup.disturbance, setup.period, setup.mass)
         return (law, guard), (force, order, status), moved
 
-    begun = code.begin(compiled_step.estimates_of(state))
+    sent = rng.uniform(-0.05, 0.05, (8, 3))
+    begun = code.begin(compiled_step.estimates_of(state), sent)
+    meant = jax.jit(jax.vmap(lambda e: loop.memories(setup, e, under_way=sent)))(state)
+    told = compiled_step.memories_of(made, *meant)
+    for part in told.dtype.names or ():
+        for name in told[part].dtype.names:
+            np.testing.assert_allclose(begun[part][name], told[part][name], rtol=1e-11, atol=1e-13)
     seen = set()
-    for number in range(60):
+    for _ in range(60):
         told = compiled_step.memories_of(made, *memory)
-        if number == 0:
-            for part in told.dtype.names or ():
-                for name in told[part].dtype.names:
-                    np.testing.assert_allclose(begun[part][name], told[part][name], rtol=1e-11, atol=1e-13)
         wrong = rng.uniform(-1.0, 1.0, (2, count, 3)) * np.array([0.02, 1e-3])[:, None, None]
         wrong[0] += rng.normal(0, 0.5, (count, 3)) * (rng.random((count, 1)) < 0.05)
         wrong[0, rng.random(count) < 0.03] = np.nan

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.apps.flight_code import c_text
-from keepout.apps.flight_code.missions import Coded, coded
+from keepout.apps.flight_code.missions import Coded, coded, require_entries
 from keepout.core.control.law import Command
 from keepout.core.errors import ExchangeError
 from keepout.core.fields.field import values
@@ -20,7 +20,7 @@ from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, part_of, silent
-from keepout.core.whole_file import write_whole
+from keepout.core.whole_file import require_place, write_whole
 
 STEPS = 64
 """Stored in the self-test."""
@@ -41,7 +41,7 @@ def write_flight_code(
         progress: called as the work goes on.
 
     Returns:
-        The folder, its files, the bytes of the tables, by how much the guard's packed field can be wrong (m), and
+        The folder, its files, the bytes of the tables, by how much a packed field can be wrong (m), and
         whether the start is under the guard's theorem with that counted.
 
     Raises:
@@ -49,12 +49,14 @@ def write_flight_code(
 
     """
     folder = Path(out)
-    if folder.exists() and not folder.is_dir():
-        raise ExchangeError(f"{folder}: is a file; give a folder")
+    require_place(folder / "tables.bin", refusal=ExchangeError)
     progress(0.0, "preparing")
-    mission = source if isinstance(source, Mission) else None
-    if mission is None:
-        mission = prepare(Scenario.of(source), progress=part_of(progress, 0.0, 0.5))  # pyright: ignore[reportArgumentType]
+    if isinstance(source, Mission):
+        mission = source
+    else:
+        scenario = Scenario.of(source)
+        require_entries(scenario)
+        mission = prepare(scenario, progress=part_of(progress, 0.0, 0.5))
     progress(0.5, "packing tables")
     made = coded(mission)
     image = c_text.image_of(made)
@@ -63,7 +65,8 @@ def write_flight_code(
         "tables.bin": image,
         "mission_sizes.h": c_text.sizes_text(made).encode(),
         "mission_tables.c": c_text.tables_text(made, c_text.digest_of(image)).encode(),
-        "selftest_steps.h": _selftest(made, len(image)).encode(),
+        "selftest_steps.h": _selftest(made),
+        "flight_begin.h": _begin(made, len(image)),
     }
     files |= sources()
     files["README.md"] = _readme(made, len(image), files["README.md"].decode()).encode()
@@ -131,29 +134,34 @@ def _moved(setup: Any, state: MotionState, force: Any) -> MotionState:
     return setup.motion.step(state, force, setup.disturbance, setup.period, setup.mass)
 
 
-def _selftest(made: Coded, image: int) -> str:
+def _header(said: str, *lines: str) -> bytes:
+    """Give a header that only one program includes."""
+    head = [f"/* {said}; written by `keepout export --to c`. */", "#include <math.h>", "", '#include "keepout.h"', ""]
+    return "\n".join([*head, *lines, ""]).encode()
+
+
+def _selftest(made: Coded) -> bytes:
     told, answered = stored_steps(made)
-    lines = [
-        "/* Stored steps: what each is told, and what Python answers; written by `keepout export --to c`. */",
-        "#include <math.h>",
-        "",
-        '#include "keepout.h"',
-        "",
+    return _header(
+        "Stored steps: what each is told, and what Python answers",
         f"#define SELFTEST_STEPS {STEPS}",
-        f"#define FLIGHT_IMAGE {image}u",
         "",
-        f"static const keepout_estimate flight_begin = {_estimate(made.mission.initial)};",
         f"static const keepout_estimate selftest_estimates[{STEPS}] = {{",
         *[f"    {_estimate(state)}," for state in told],
         "};",
         f"static const keepout_order selftest_orders[{STEPS}] = {{",
         *[f"    {_order(*answer)}," for answer in answered],
         "};",
+    )
+
+
+def _begin(made: Coded, image: int) -> bytes:
+    return _header(
+        "Where the mission's flight begins, and how many bytes its tables have",
+        f"#define FLIGHT_IMAGE {image}u",
         "",
-    ]
-    # fly_mission uses the first of them, selftest the others.
-    guards = '#if defined(__GNUC__)\n#pragma GCC diagnostic ignored "-Wunused-variable"\n#endif\n'
-    return "\n".join(lines[:5]) + guards + "\n".join(lines[5:])
+        f"static const keepout_estimate flight_begin = {_estimate(made.mission.initial)};",
+    )
 
 
 def _estimate(state: MotionState) -> str:

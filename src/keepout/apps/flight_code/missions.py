@@ -1,7 +1,7 @@
 """What of a mission goes into the flight code, what the code cannot fly, and the mission as the code flies it.
 
 The code computes in double what Python computes in double too, but for the learned field: there Python flies float32.
-`as_coded` gives the same mission with that field in double and with the guard's field as its packed tables hold it:
+`coded` gives the same mission with that field in double and with the guard's field as its packed tables hold it:
 then both compute the same, to rounding. The guard is told how far the packed field can be from the certified one.
 """
 
@@ -22,10 +22,12 @@ from keepout.core.fields.grid import GridField
 from keepout.core.fields.neural import NeuralField
 from keepout.core.guard.guard import Guard, require_flyable
 from keepout.core.mission.build import Mission
+from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
 
-MOST_LAYERS, MOST_WIDTH, MOST_LEVELS = 10, 512, 8
-"""Of a learned field, and of a spline, that the code has room for."""
+MOST_LAYERS, MOST_WIDTH = 10, 512
+"""Of a learned field that the code has room for on its stack."""
 
 
 class Coded(NamedTuple):
@@ -36,7 +38,7 @@ class Coded(NamedTuple):
         law: its law, without the layer that looks ahead of a delay.
         guard_tables: the guard's field, packed; None without a guard.
         law_tables: likewise the law's, where it flies by a spline of its own; None where it shares the guard's.
-        packing_error: how far the guard's packed field can be from the certified one, m.
+        packing_error: how far a packed field can be from the certified one, m.
 
     """
 
@@ -54,8 +56,8 @@ def coded(mission: Mission) -> Coded:
         ExchangeError: something of it that the code cannot fly; the message names the entry.
 
     """
-    refused = _refused(mission)
-    if refused:
+    require_entries(mission.scenario)
+    if refused := _refused(mission):
         raise ExchangeError(f"--to c: {refused}")
     setup, guard, tables, error = mission.setup, mission.guard, None, 0.0
     law = _law(mission)
@@ -74,7 +76,8 @@ def coded(mission: Mission) -> Coded:
         layers = jax.tree.map(lambda array: jax.device_put(np.asarray(array, np.float64)), field.layers)
         field = dataclasses.replace(field, layers=layers)
     elif isinstance(field, GridField) and not shared:
-        law_tables, field, _ = packed(field)
+        law_tables, field, own = packed(field)
+        error = max(error, own)
     law = dataclasses.replace(law, velocity=dataclasses.replace(law.velocity, field=field))
     outer = setup.controller
     flown = dataclasses.replace(outer, law=law) if isinstance(outer, AheadOfDelay) else law
@@ -93,35 +96,51 @@ def _law(mission: Mission) -> Controller:
     return law
 
 
-def _refused(mission: Mission) -> str | None:
-    """Say what of a mission the code cannot fly, or None."""
-    scenario, setup = mission.scenario, mission.setup
-    outer = setup.controller
-    law = outer.law if isinstance(outer, AheadOfDelay) else outer
+def require_entries(scenario: Scenario) -> None:
+    """Refuse a scenario with entries that the code cannot fly, before anything is prepared.
+
+    Args:
+        scenario: what to fly.
+
+    Raises:
+        ExchangeError: the message names the first such entry and what is valid.
+
+    """
+    refused = None
+    motion = Surroundings(scenario).motion
     if scenario.leg or scenario.zone or scenario.corridor or scenario.approach.model_dump(exclude_defaults=True):
-        return "legs, zones, corridors and approach rules are not in the flight code; it flies to one goal"
-    if scenario.control.profile != "default":
-        return f'control.profile is "{scenario.control.profile}"; the flight code has the default one'
-    if not isinstance(law, Controller) or scenario.faults.law != "none":
+        refused = "legs, zones, corridors and approach rules are not in the flight code; it flies to one goal"
+    elif scenario.control.profile != "default":
+        refused = f'control.profile is "{scenario.control.profile}"; the flight code has the default one'
+    elif scenario.control.circulation is not None:
+        refused = f'control.circulation is "{scenario.control.circulation}"; the flight code has none: leave it out'
+    elif scenario.control.observer == "printed":
+        refused = 'control.observer is "printed"; the flight code has "harmonic", "constant" and "off"'
+    elif scenario.faults.law != "none":
+        refused = f'faults.law is "{scenario.faults.law}"; the flight code has the law as it is: "none" is valid'
+    elif scenario.thrusters.layout != "ideal":
+        refused = f'thrusters.layout is "{scenario.thrusters.layout}"; the flight code gives a force: "ideal" is valid'
+    elif scenario.navigation.suite != "none":
+        refused = f'navigation.suite is "{scenario.navigation.suite}"; the flight code is told a state: "none" is valid'
+    elif motion.perturbations:
+        refused = "orbit.j2, drag and the push of sunlight are not in the flight code; leave them out"
+    elif motion.held_inertially and scenario.guard.delay:
+        refused = 'thrusters.held_in is "inertial" and guard.delay above 0; the code looks ahead in body axes only'
+    if refused is not None:
+        raise ExchangeError(f"--to c: {refused}")
+
+
+def _refused(mission: Mission) -> str | None:
+    """Say which part of a mission is none of the code's, or None: parts may be others than the scenario's."""
+    outer = mission.setup.controller
+    law = outer.law if isinstance(outer, AheadOfDelay) else outer
+    if not isinstance(law, Controller):
         return f"the law is a {type(law).__name__}; the flight code has the default profile's only"
-    if scenario.thrusters.layout != "ideal":
-        return f'thrusters.layout is "{scenario.thrusters.layout}"; the flight code gives a force: "ideal" is valid'
-    if scenario.navigation.suite != "none":
-        return f'navigation.suite is "{scenario.navigation.suite}"; the flight code is told a state: "none" is valid'
-    if setup.motion.perturbations:
-        return "orbit.j2, drag and the push of sunlight are not in the flight code; leave them out"
-    if setup.motion.held_inertially and scenario.guard.delay:
-        return 'thrusters.held_in is "inertial" and guard.delay above 0; the flight code looks ahead in body axes only'
-    return _parts_refused(mission, law)
-
-
-def _parts_refused(mission: Mission, law: Controller) -> str | None:
-    """Say which part of a law or guard is none of the code's, or None."""
     velocity, field = law.velocity, law.velocity.field
     parts: list[tuple[str, Any, tuple[type, ...]]] = [
         ("the law's field", field, (NeuralField, GridField)),
-        ("control.guidance", velocity.guidance, (GeodesicGuidance, StraightGuidance)),
-        ("control.observer", law.observer, (SampledObserver, NoObserver)),
+        ("the law's guidance", velocity.guidance, (GeodesicGuidance, StraightGuidance)),
+        ("the law's observer", law.observer, (SampledObserver, NoObserver)),
         ("the attitude", mission.setup.motion.attitude_motion, (VVLHFixed, InertiallyFixed, Tumbling)),
     ]
     if mission.setup.guard is not None:
@@ -132,11 +151,11 @@ def _parts_refused(mission: Mission, law: Controller) -> str | None:
         if type(part) not in valid:
             return f"{name} is a {type(part).__name__}; valid: {', '.join(kind.__name__ for kind in valid)}"
     if velocity.circulation is not None or velocity.box is not None or velocity.differentiate:
-        return "control.circulation and the paper's box and feedforward are not in the flight code; leave them out"
+        return "the law has a circulation, the paper's box or feedforward; the flight code has none of them"
     if isinstance(velocity.guidance, GeodesicGuidance) and int(velocity.guidance.first):
         return "the guidance is one of several legs; the flight code flies to one goal"
     if isinstance(law.observer, SampledObserver) and not _by_axis(law.observer):
-        return "control.observer mixes the axes; the flight code has one model for each axis alike"
+        return "the law's observer mixes the axes; the flight code has one model for each axis alike"
     if isinstance(field, NeuralField):
         widths = [len(bias) for bias in field.layers.biases[:-1]]
         if len(widths) > MOST_LAYERS or max(widths) > MOST_WIDTH:

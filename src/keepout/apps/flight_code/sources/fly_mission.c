@@ -6,7 +6,7 @@
 
 #include "keepout_internal.h"
 #include "mission_tables.h"
-#include "selftest_steps.h"
+#include "flight_begin.h"
 
 int main(int count, char **words)
 {

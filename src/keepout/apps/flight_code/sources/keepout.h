@@ -61,7 +61,7 @@ enum {
     KEEPOUT_LAW_NO_WAY_OUT = 5
 };
 
-/* In Python: guard/safety_layer.py, GuardStatus and GuardFlag. */
+/* In Python: guard/safety_layer.py, GuardStatus and GuardFlag. WIDE and CONTRADICTED are of sensors, which are not here. */
 enum {
     KEEPOUT_GUARD_CLEAR = 0,
     KEEPOUT_GUARD_BRAKING = 1,
@@ -74,7 +74,6 @@ enum {
     KEEPOUT_FLAG_COMMAND = 64,
     KEEPOUT_FLAG_OFF_PLAN = 128,
     KEEPOUT_FLAG_ESTIMATE = 256,
-    KEEPOUT_FLAG_WIDE = 512,
     KEEPOUT_FLAG_EXPIRED = 2048
 };
 

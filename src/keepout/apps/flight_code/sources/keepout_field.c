@@ -35,7 +35,7 @@ static double psi_of(const keepout_continuation *c, double r, double *slope)
 /* F(s). In Python: RadialContinuation._rise. */
 static double rise(const keepout_continuation *c, double s)
 {
-    return keepout_root((s * s) - (c->target_radius * c->target_radius))
+    return sqrt((s * s) - (c->target_radius * c->target_radius))
            - (c->target_radius * keepout_acos(c->target_radius / s));
 }
 
@@ -43,7 +43,7 @@ static double rise(const keepout_continuation *c, double s)
 static double rise_slope(const keepout_continuation *c, double s)
 {
     const double ratio = c->target_radius / s;
-    return keepout_root(1.0 - (ratio * ratio));
+    return sqrt(1.0 - (ratio * ratio));
 }
 
 /* The place at which the field is asked. In Python: RadialContinuation.into_domain. */

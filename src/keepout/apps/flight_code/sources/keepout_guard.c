@@ -21,8 +21,6 @@ typedef struct {
     double doubts[2];
     int32_t counted;
     bool told;
-    bool sound;
-    bool narrow;
     bool jumped;
     bool left_out;
 } seen_state;
@@ -159,7 +157,7 @@ static bool is_free(const keepout_mission *mission, const double position[3], do
 {
     const keepout_guard *guard = mission->guard;
     const double sagitta =
-        ((keepout_root(3.0) * (guard->force_limit / guard->mass)) * (guard->period * guard->period)) / 8.0;
+        ((sqrt(3.0) * (guard->force_limit / guard->mass)) * (guard->period * guard->period)) / 8.0;
     const double least = ((guard->threshold + (guard->lipschitz * guard->position_radius))
                           + (2.0 * guard->evaluation_error))
                          + (guard->lipschitz * (sagitta + moved));
@@ -401,8 +399,6 @@ static void see(const keepout_guard *guard, const keepout_guard_memory *memory, 
         }
         corrected(guard, memory, known, !memory->begun && !beyond, beyond, seen);
     }
-    seen->narrow = true; /* of an estimate's errors only those declared are known */
-    seen->sound = seen->told;
     doubtful = (seen->jumped || beyond) && seen->told;
     seen->spread[0] = doubtful ? keepout_maximum(keepout_distance(seen->position, seen->told_position),
                                                  keepout_distance(seen->position, own_position))
@@ -485,7 +481,6 @@ static int32_t flags_of(const keepout_guard *guard, const keepout_estimate *esti
     flags += finite ? 0 : KEEPOUT_FLAG_COMMAND;
     flags += (course->off_plan && certified) ? KEEPOUT_FLAG_OFF_PLAN : 0;
     flags += (seen->told || seen->left_out) ? 0 : KEEPOUT_FLAG_ESTIMATE;
-    flags += seen->narrow ? 0 : KEEPOUT_FLAG_WIDE;
     flags += (estimate->time > guard->valid_until) ? KEEPOUT_FLAG_EXPIRED : 0;
     return flags;
 }
@@ -500,7 +495,7 @@ static void remember(const keepout_guard *guard, keepout_guard_memory *memory, c
     keepout_copy((delay > 0) ? memory->pending[0] : chosen, acting);
     keepout_queue(memory->pending, delay, chosen);
     if (guard->observes) {
-        memory->steady = seen->told && seen->narrow && (accepted || (follow && memory->steady));
+        memory->steady = seen->told && (accepted || (follow && memory->steady));
         keepout_step_ahead(seen->position, seen->velocity, guard->period, acting, memory->seen_position,
                            memory->seen_velocity);
         memory->doubts[0] = seen->doubts[0];
@@ -562,7 +557,7 @@ int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memor
     }
     keepout_step_ahead(course.path[course.last], course.velocities[course.last], guard->period, candidate, position,
                        velocity);
-    if ((finite || !course.planned) && seen.sound) {
+    if ((finite || !course.planned) && seen.told) {
         accepted = accepted_of(mission, here, &seen, &course, position, velocity);
     }
 

@@ -10,7 +10,6 @@
 bool keepout_is_nan(double x);
 bool keepout_finite(double x);
 bool keepout_finite3(const double x[3]);
-double keepout_root(double x);
 double keepout_exp(double x);
 double keepout_log(double x);
 double keepout_log1p(double x);

@@ -1,5 +1,7 @@
 /* The control law: guidance, safe velocity, tracking, disturbance observer. In Python: control/controller.py with the
  * default profile (control/profiles.py); with a delay inside control/law.py, AheadOfDelay. */
+#include <math.h>
+
 #include "keepout_internal.h"
 
 #define EDGE 1e-11        /* below this much room, in units of speed, the feasible set is one point */
@@ -37,13 +39,13 @@ static double length_of(const double v[3])
     for (i = 0; i < 3; i++) {
         square = square + ((v[i] / unit) * (v[i] / unit));
     }
-    return (largest > 0.0) ? (unit * keepout_root(square)) : 0.0;
+    return (largest > 0.0) ? (unit * sqrt(square)) : 0.0;
 }
 
 /* The vector at length 1, or zero. In Python: control/geodesic.py, _unit. */
 static void unit_of(double v[3])
 {
-    const double size = keepout_root(keepout_dot(v, v) + 1e-300);
+    const double size = sqrt(keepout_dot(v, v) + 1e-300);
     int32_t i;
     for (i = 0; i < 3; i++) {
         v[i] = v[i] / size;
@@ -122,7 +124,7 @@ static void desired_velocity(const keepout_guidance *way, const double position[
     }
     square = keepout_dot(error, error);
     if (square > 1e-24) {
-        distance = keepout_root(square);
+        distance = sqrt(square);
         factor = keepout_tanh(distance / way->slowing_length) / distance;
     } else {
         factor = 1.0 / way->slowing_length;
@@ -148,7 +150,7 @@ static double class_k(const keepout_law *law, double barrier)
 {
     const double knee = law->class_k_braking / law->class_k_rate;
     const double root =
-        keepout_root(((2.0 * law->class_k_braking) * keepout_maximum(barrier, 0.0)) + (knee * knee));
+        sqrt(((2.0 * law->class_k_braking) * keepout_maximum(barrier, 0.0)) + (knee * knee));
     return (barrier >= 0.0) ? (root - knee) : (law->class_k_rate * barrier);
 }
 
@@ -156,7 +158,7 @@ static double class_k(const keepout_law *law, double barrier)
 static double speed_at(const keepout_law *law, double barrier)
 {
     return keepout_minimum(law->speed_limit,
-                           keepout_root((2.0 * law->speed_authority)
+                           sqrt((2.0 * law->speed_authority)
                                         * (keepout_maximum(barrier, 0.0) + law->speed_reserve)));
 }
 
@@ -182,7 +184,7 @@ static void project(const double n[3], const double desired[3], double rate, dou
     } else if (length_of(on_plane) <= limit) {
         keepout_copy(on_plane, velocity);
     } else {
-        const double radius = keepout_root(keepout_maximum((limit * limit) - keepout_dot(foot, foot), 0.0));
+        const double radius = sqrt(keepout_maximum((limit * limit) - keepout_dot(foot, foot), 0.0));
         const double spread = one_for_zero(length_of(tangent));
         for (i = 0; i < 3; i++) {
             velocity[i] = foot[i] + ((radius * tangent[i]) / spread);
@@ -282,7 +284,7 @@ static void tracked(const keepout_law *law, const velocity_point *point, const d
     for (i = 0; i < 3; i++) {
         feedback[i] = (-law->lyapunov_ratio * pull[i]) - ((0.5 * law->gain) * error[i]);
     }
-    size = keepout_root(keepout_dot(feedback, feedback) + 1e-300);
+    size = sqrt(keepout_dot(feedback, feedback) + 1e-300);
     for (i = 0; i < 3; i++) {
         feedback[i] = feedback[i] * keepout_minimum(1.0, law->acceleration_limit / size);
         gradient[i] = -error[i] / (law->mass * law->barrier_ratio);

@@ -34,11 +34,6 @@ bool keepout_finite3(const double x[3])
     return keepout_finite(x[0]) && keepout_finite(x[1]) && keepout_finite(x[2]);
 }
 
-double keepout_root(double x)
-{
-    return sqrt(x);
-}
-
 /* The larger; not a number where one is none (C's fmax drops it). In Python: jnp.maximum. */
 double keepout_maximum(double a, double b)
 {

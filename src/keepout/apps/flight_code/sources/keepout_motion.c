@@ -1,4 +1,6 @@
 /* Motion of the chaser relative to the target, in the target's turning body frame. In Python: motion/relative.py. */
+#include <math.h>
+
 #include "keepout_internal.h"
 
 /* VVLH at one moment: the target's distance from the Earth's centre, and its rate and its change about -y. */
@@ -41,7 +43,7 @@ static double eccentric_anomaly(double mean_anomaly, double e)
     d = (3.0 * (1.0 - e)) + (alpha * e);
     q = (((2.0 * alpha) * d) * (1.0 - e)) - (m * m);
     r = ((((3.0 * alpha) * d) * ((d - 1.0) + e)) * m) + cubed(m);
-    w = squared(keepout_cbrt(((r < 0.0) ? -r : r) + keepout_root(cubed(q) + (r * r))));
+    w = squared(keepout_cbrt(((r < 0.0) ? -r : r) + sqrt(cubed(q) + (r * r))));
     anomaly = ((((2.0 * r) * w) / (((w * w) + (w * q)) + (q * q))) + m) / d;
     for (i = 0; i < 2; i++) {
         const double sine = e * keepout_sin(anomaly);
@@ -60,12 +62,12 @@ static double true_anomaly_at(const keepout_motion *motion, double time)
 {
     const double e = motion->eccentricity;
     const double half = motion->true_anomaly / 2.0;
-    const double start = 2.0 * keepout_atan2(keepout_root(1.0 - e) * keepout_sin(half),
-                                             keepout_root(1.0 + e) * keepout_cos(half));
-    const double mean_motion = keepout_root(motion->gravitational_parameter / cubed(motion->semi_major_axis));
+    const double start = 2.0 * keepout_atan2(sqrt(1.0 - e) * keepout_sin(half),
+                                             sqrt(1.0 + e) * keepout_cos(half));
+    const double mean_motion = sqrt(motion->gravitational_parameter / cubed(motion->semi_major_axis));
     const double mean = (start - (e * keepout_sin(start))) + (mean_motion * time);
     const double anomaly = eccentric_anomaly(mean, e);
-    const double beta = e / (1.0 + keepout_root(1.0 - (e * e)));
+    const double beta = e / (1.0 + sqrt(1.0 - (e * e)));
     return anomaly
            + (2.0 * keepout_atan2(beta * keepout_sin(anomaly), 1.0 - (beta * keepout_cos(anomaly))));
 }
@@ -85,7 +87,7 @@ static orbital_frame frame_at(const keepout_motion *motion, double time)
         sine = keepout_sin(theta);
     }
     frame.radius = parameter / swell;
-    frame.rate = keepout_root(ratio) * squared(swell);
+    frame.rate = sqrt(ratio) * squared(swell);
     frame.acceleration = (((-2.0 * ratio) * e) * sine) * cubed(swell);
     /* A time that is no number is none on a circle either. */
     if (!keepout_finite(time)) {
@@ -196,7 +198,7 @@ static void drift_of(const keepout_motion *motion, const keepout_estimate *state
         q = q + (r[i] * (r[i] + (2.0 * target[i])));
     }
     shrink = keepout_expm1(-1.5 * keepout_log1p(q / square));
-    cube = square * keepout_root(square);
+    cube = square * sqrt(square);
     for (i = 0; i < 3; i++) {
         const double gravity = ((r[i] * (1.0 + shrink)) + (target[i] * shrink)) / cube;
         drift[i] = (((-2.0 * coriolis[i]) - euler[i]) - centrifugal[i]) - (motion->gravitational_parameter * gravity);
@@ -288,7 +290,7 @@ void keepout_move(const keepout_motion *motion, keepout_estimate *state, const d
         for (i = 0; i < 4; i++) {
             length = length + (end.attitude[i] * end.attitude[i]);
         }
-        length = keepout_root(length);
+        length = sqrt(length);
         for (i = 0; i < 4; i++) {
             end.attitude[i] = end.attitude[i] / length;
         }
