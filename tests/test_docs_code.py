@@ -32,7 +32,6 @@ QUICKER = {
         ('keepout.fit("mission.toml", certify=True, out="satellite.keepout")', 'keepout.load_shipped("intelsat30")')
     ],
     "docs/own-parts.md": [("num_envs=1024, guard=False", "num_envs=1"), ("duration=300.0", "duration=240.0")],
-    "docs/flights-out.md": [("import pandas\n", "import pytest\npandas = pytest.importorskip('pandas')\n")],
     "docs/on-board.md": [("examples/approach.toml", "mission.toml")],
     "docs/python.md": [("keepout.fit(target, certify=True)", "guard_field(target, 0.5)"), ("runs=200", "runs=4")],
     "docs/campaigns.md": [
