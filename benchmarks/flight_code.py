@@ -59,7 +59,7 @@ BUILDS = [
 
 
 def apart(a: Any, b: Any, least: float = 1e-3) -> float:
-    """Give the largest difference, relative to the larger number; none of equal ones, and of no numbers."""
+    """Give the largest difference over the larger number and `least` together; none of equal ones, and of no numbers."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     with np.errstate(invalid="ignore", over="ignore"):
         far = np.abs(a - b) / (least + np.maximum(np.abs(a), np.abs(b)))
@@ -159,7 +159,7 @@ def main() -> None:
     if shutil.which("gcc") is None:
         raise SystemExit("skipped: gcc is not installed")
     with tempfile.TemporaryDirectory() as kept:
-        print("| mission | steps | statuses that differ | force, relative | memory, relative |")
+        print("| mission | steps | statuses that differ | force, over its size + 1e-3 | memory, likewise |")
         print("| --- | --- | --- | --- | --- |")
         for name, changes in MISSIONS.items():
             folder, mission = Path(kept) / name.replace(" ", "-"), prepare(Scenario().replace(**changes))
