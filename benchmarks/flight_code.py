@@ -59,7 +59,7 @@ BUILDS = [
 
 
 def apart(a: Any, b: Any, least: float = 1e-3) -> float:
-    """Give the largest difference over the larger number and `least` together; none of equal ones, and of no numbers."""
+    """Give the largest difference over the larger number plus `least`; none of equal ones, and of no numbers."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     with np.errstate(invalid="ignore", over="ignore"):
         far = np.abs(a - b) / (least + np.maximum(np.abs(a), np.abs(b)))
