@@ -7,6 +7,7 @@ python docs/reference.py --check   # exit 1 where one of them is not of this ver
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -25,12 +26,11 @@ SCENARIO = """\
 
 This page answers whoever writes a scenario file: which entries there are, what each means, and which values it takes.
 
-- A line begins with the entry and its default in TOML. It can be copied to the top of a file as it stands, or below its
-  table's header without the table's name. Numbers are in SI units, angles in radians.
-- An empty file is valid: it is the source paper's Case 1. An entry that is *unset* has no default; it is needed only
-  where its meaning says so. An entry that is *needed* must stand in each table of its kind. Words that a meaning names
-  as values are written in quotation marks in a file.
-- `keepout scenario check` names a wrong entry with its line. `--set guard.delay=2` replaces an entry for one command.
+- A line begins with an entry and its default in TOML, as it can stand below its table's header; `--set` and refusals say
+  `guard.delay`. Numbers are in SI units, angles in radians. Words that a meaning names as values are written in quotes.
+- An empty file is valid: it is the source paper's Case 1. An entry without a default is unset unless it is given. It
+  must be given where the line says *needed*.
+- The sentence below a header leads to the page on the table's use.
 
 `python docs/reference.py` writes this page.
 """
@@ -134,45 +134,49 @@ def toml(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def entry_line(name: str, field: FieldInfo, spec: Mapping[str, Any]) -> str:
-    """Give the line of one entry: TOML with its default, values, meaning."""
+def entry_head(name: str, field: FieldInfo) -> str:
+    """Give an entry as TOML with its default, or its name alone."""
     default = None if field.is_required() else field.get_default(call_default_factory=True)
+    return f"`{name}`" if default is None else f"`{name} = {toml(default)}`"
+
+
+def values_of(field: FieldInfo, spec: Mapping[str, Any]) -> str:
+    """Give which values an entry takes, in brackets, where neither its default nor its meaning says so."""
     values, said = range_of(spec), field.description or ""
+    unset = field.is_required() or field.get_default(call_default_factory=True) is None
     words = [word.strip('`"') for word in values.split(", ")]
-    if values.startswith("`") and all(word in said for word in words):
+    if (values.startswith("`") and all(word in said for word in words)) or (values.endswith("numbers") and not unset):
         values = ""
-    if default is None:
-        head = f"`{name}` (" + ("needed" if field.is_required() else "unset") + (f"; {values})" if values else ")")
-    else:
-        values = "" if values.endswith("numbers") else values
-        head = f"`{name} = {toml(default)}`" + (f" ({values})" if values else "")
-    return f"- {head}: {said}."
+    values = "; ".join(filter(None, ("needed" if field.is_required() else "", values)))
+    return f" ({values})" if values else ""
 
 
-def table_lines(title: str, table: type[Entry], prefix: str) -> Iterator[str]:
-    """Give the section of one table; of its entries those that are no tables themselves."""
+def table_lines(title: str, table: type[Entry]) -> Iterator[str]:
+    """Give the section of one table; of its entries those that are no tables themselves, alike ones in one line."""
     page = SEE.get(title)
     said = (table.__doc__ or "").splitlines()[0]
-    yield from (f"## [{title}]", "", said + (f" See [{page}]({page}.md)." if page else ""), "")
+    yield from (f"## [{title}]", "", f"[{said}]({page}.md)" if page else said, "")
     properties = table.model_json_schema()["properties"]
-    for key, field in table.model_fields.items():
-        if not is_table(field.annotation):
-            yield entry_line(prefix + key, field, properties[key])
+    entries = [(key, field) for key, field in table.model_fields.items() if not is_table(field.annotation)]
+    for (meaning, values), alike in groupby(
+        entries, key=lambda entry: (entry[1].description, values_of(entry[1], properties[entry[0]]))
+    ):
+        yield f"- {', '.join(entry_head(*entry) for entry in alike)}{values}: {meaning}"
     yield ""
 
 
 def scenario_page() -> str:
     """Give the page of all scenario entries."""
     lines = [SCENARIO]
-    lines += [line.replace("## [scenario]", "## No table") for line in table_lines("scenario", Scenario, "")]
+    lines += [line.replace("## [scenario]", "## No table") for line in table_lines("scenario", Scenario)]
     for key, field in Scenario.model_fields.items():
         if get_origin(field.annotation) is tuple and is_table(get_args(field.annotation)[0]):
-            lines += table_lines(f"[{key}]", get_args(field.annotation)[0], "")
+            lines += table_lines(f"[{key}]", get_args(field.annotation)[0])
     for name, told in entries_and_tables():
         if not isinstance(told, FieldInfo):
-            lines += table_lines(name, told, f"{name}.")
+            lines += table_lines(name, told)
             for inner in INNER.get(name, ()):
-                lines += table_lines(*inner, "")
+                lines += table_lines(*inner)
     return "\n".join(lines).rstrip() + "\n"
 
 

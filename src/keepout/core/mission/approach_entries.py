@@ -31,16 +31,15 @@ class LegEntry(Entry):
     """A place where the chaser holds before it flies on; the last leg's is the goal.
 
     Attributes:
-        name: The name in tables, plots and refusals; unset: the leg's number.
-        position: The hold point, m.
-        axes: The axes of the position: the target's body axes, or VVLH, if the target stands still in it.
+        name: Name in tables, plots and refusals; unset: the number.
+        position: Hold point, m.
+        axes: Axes of the position: body, or vvlh, if the target stands still in it.
         tolerance: The chaser is at the hold point while it is closer than this, m.
         dwell: How long the chaser stays there without a break before it flies on, s.
         until: "go": the chaser flies on only after somebody says so, on board the caller, in simulation `go_at`.
-        go_at: The time at which "go" is said in simulation, s; `until = "go"` needs it.
-        speed_limit: The largest speed on the way to this place, m/s; unset: chaser.speed_limit.
-        within: [earliest, latest], s: the chaser does not fly to this place before the first, and is to be there by the
-            second.
+        go_at: Time at which "go" is said in simulation, s; `until` needs it.
+        speed_limit: Largest speed on the way to this place, m/s; unset: chaser.speed_limit.
+        within: [earliest, latest], s: the chaser does not fly here before the first, and is to be here by the second.
 
     """
 
@@ -65,21 +64,20 @@ class ZoneEntry(Entry):
     """Room that no part of the chaser may enter while the zone stands.
 
     Attributes:
-        name: The name in tables, plots and refusals; unset: the zone's number.
+        name: Name in tables, plots and refusals; unset: the number.
         shape: The shape; a cylinder and a cone begin at `centre` and go along `axis`, and a cone ends as a part of a
             sphere.
-        centre: The centre of a sphere or ellipsoid, of a cylinder's first face, or a cone's apex, m.
-        radius: The radius of a sphere or cylinder, m.
-        semi_axes: The semi-axes of an ellipsoid along the zone's axes, m.
-        lower: The lower corner of a box along the zone's axes, m.
-        upper: The upper corner of a box along the zone's axes, m.
-        axis: The direction of a cylinder or cone, any length.
-        half_angle: The angle between a cone's axis and its side, rad.
-        length: The length of a cylinder or cone, m.
-        axes: The axes of these numbers, about the body frame's origin: the target's, VVLH, or ECI (inertial).
-        start: The time from which the zone stands, s.
-        until: The time until which it stands, s, or "go": until "go" is said to the first leg that waits for it; unset:
-            for ever.
+        centre: Centre of a sphere or ellipsoid, of a cylinder's first face, or a cone's apex, m.
+        radius: Radius of a sphere or cylinder, m.
+        semi_axes: Semi-axes of an ellipsoid along the zone's axes, m.
+        lower, upper: Corners of a box along the zone's axes, m.
+        axis: Direction of a cylinder or cone, any length.
+        half_angle: Angle between a cone's axis and its side, rad.
+        length: Length of a cylinder or cone, m.
+        axes: Axes of these numbers, about the body frame's origin: body, vvlh, or inertial (ECI).
+        start: Time from which the zone stands, s.
+        until: Time until which it stands, s, or "go": until "go" is said to the first leg that waits for it; unset: for
+            ever.
 
     """
 
@@ -115,13 +113,12 @@ class CorridorEntry(Entry):
     """Inside `length` of a port the chaser's centre stays in a cone, or a tube, that leads outwards from it.
 
     Attributes:
-        name: The name in tables, plots and refusals; unset: the corridor's number.
-        port: The place of the port in the body frame, m.
-        axis: The direction from the port outwards in the body frame, any length.
-        length: The distance from the port within which the corridor binds, m.
-        half_angle: The angle between the cone's axis and its side, rad; unset: the corridor is a tube.
-        radius: The radius of the tube, or of the cone at the port, m; a tube needs it; unset: the cone begins as a
-            point.
+        name: Name in tables, plots and refusals; unset: the number.
+        port: Place of the port, body frame, m.
+        axis: Direction from the port outwards, body frame, any length.
+        length: Distance from the port within which the corridor binds, m.
+        half_angle: Angle between the cone's axis and its side, rad; unset: a tube.
+        radius: Radius of the tube, which needs it, or of the cone at the port, m; unset: the cone begins as a point.
 
     """
 
@@ -145,11 +142,11 @@ class ApproachEntry(Entry):
     Attributes:
         speed_by_distance: Pairs [distance, m, largest speed, m/s] with falling distances; the speed is linear between
             them.
-        distance_to: The point of the body frame, such as the port, to which the distance is measured, m; unset: it is
-            measured to the mesh, by the law's field, which says less.
-        abort: How a mission is abandoned at `faults.abort_at`: retreat, back to the hold point before the one flown to,
-            under the guard; or drift, with all thrusters off, so that no guard can act.
-        abort_time: How long a chaser that stops thrusting should touch nothing, s; such a drift is judged every few
+        distance_to: Point of the body frame to which the distance is measured, m; unset: the mesh, by the law's field,
+            which says less.
+        abort: What happens at `faults.abort_at`: retreat, to the hold point before the one flown to, under the guard;
+            or drift, with all thrusters off, so that no guard can act.
+        abort_time: How long a chaser that stops thrusting should touch nothing, s; such drifts are judged every few
             seconds of a flight; unset: none is.
 
     """

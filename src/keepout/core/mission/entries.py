@@ -45,7 +45,10 @@ def _strict(part: Any) -> Any:
 
 
 def _meanings(doc: str) -> dict[str, str]:
-    """Read the section `Attributes` of a docstring: what each entry means, in one line without its full stop."""
+    """Read the section `Attributes` of a docstring: what each entry means, in one line without its full stop.
+
+    Entries that mean the same of two things stand in one line: `lower, upper: Corners of a box.`
+    """
     meanings: dict[str, str] = {}
     key = ""
     for line in inspect.cleandoc(doc).partition("\nAttributes:\n")[2].split("\n"):
@@ -53,7 +56,7 @@ def _meanings(doc: str) -> dict[str, str]:
             meanings[key] += f" {line.strip()}"
         elif line.startswith(" " * 4):
             key, _, meanings[key] = line.strip().partition(": ")
-    return {key: meaning.removesuffix(".") for key, meaning in meanings.items()}
+    return {key: meaning.removesuffix(".") for keys, meaning in meanings.items() for key in keys.split(", ")}
 
 
 class _Documented(type(BaseModel)):
@@ -110,15 +113,15 @@ class TargetEntry(Entry):
     """The spacecraft that is flown around.
 
     Attributes:
-        source: The name of a built-in target (`keepout targets` lists them), or a file with a mesh, a point cloud or a
-            map (.keepmap); its path is relative to the scenario.
-        units: The length unit of the file; unset: metres, unless the file says its unit.
-        scale: How many metres a unit of the file is; in place of `units`.
-        drop_stray: Whether parts of the mesh that lie far from the rest are left out.
-        thickness: The diameter of the ball that each point of a point cloud stands for, m; a point cloud needs it.
-        rotation: The rotation from file axes to body axes, three rows; unset: none.
+        source: Name of a built-in target (`keepout targets`), or file of a mesh, a point cloud or a map (.keepmap),
+            relative to the scenario.
+        units: Length unit of the file; unset: metres, unless the file says its unit.
+        scale: Metres per unit of the file, in place of `units`.
+        drop_stray: Whether parts far from the rest are left out.
+        thickness: Diameter of the ball that each point of a point cloud stands for, m; a point cloud needs it.
+        rotation: Rotation from file axes to body axes, three rows; unset: none.
         origin: The body frame's origin in file axes, m; unset: the file's own.
-        centre_of_mass: The target's centre of mass in the body frame, m: it orbits, and the target turns about it.
+        centre_of_mass: Centre of mass in the body frame, m: it orbits, and the target turns about it.
         parameters: Numbers of a built-in target, such as its wings' angle and span.
 
     """
@@ -142,8 +145,8 @@ class FieldEntry(Entry):
     """The field that the control law flies by.
 
     Attributes:
-        source: "shipped", the learned field of a built-in target; "grid", exact distances on a grid, made when needed,
-            for any target; or a .keepout file.
+        source: "shipped": the learned field of a built-in target; "grid": exact distances, made when needed, for any
+            target; or a .keepout file.
 
     """
 
@@ -154,10 +157,10 @@ class ChaserEntry(Entry):
     """The chaser: a ball of `radius` with one thruster pair an axis.
 
     Attributes:
-        mass: The mass that law and guard count with, kg.
-        radius: The radius of the ball that holds the whole chaser, m.
-        force_limit: The largest force along each body axis, N.
-        speed_limit: The largest speed relative to the target, m/s.
+        mass: Mass that law and guard count with, kg.
+        radius: Radius of the ball that holds the whole chaser, m.
+        force_limit: Largest force along each body axis, N.
+        speed_limit: Largest speed relative to the target, m/s.
 
     """
 
@@ -183,12 +186,10 @@ class GuardEntry(Entry):
 
     Attributes:
         enabled: Whether the guard flies along.
-        position_error: The largest error of the position estimate, m.
-        velocity_error: The largest error of the velocity estimate, m/s.
-        mass_error: The largest relative error of `chaser.mass`.
-        gain_error: The largest relative error of the thrusters' force.
+        position_error, velocity_error: Largest error of the estimate, m or m/s.
+        mass_error, gain_error: Largest relative error of `chaser.mass`, or of the thrusters' force.
         keeps_margin: Whether the theorem keeps `safety.margin` too, instead of only excluding contact.
-        delay: The delay from a command to its effect, control periods; the control law predicts its state over it.
+        delay: Delay from a command to its effect, control periods; the law predicts its state over it.
 
     """
 
@@ -205,25 +206,22 @@ class FaultsEntry(Entry):
     """Errors and failures of the flight, drawn from `seed`; law and guard know only what `guard` says of them.
 
     Attributes:
-        law: What replaces the law's force: full thrust into the body; straight through to the goal at twice the speed
-            limit; random forces; bang-bang, full thrust in a random corner for 15 periods each; or not a number (NaN)
-            in every 15th command.
-        position_bias: The length of a constant error of the position estimate, in a random direction, m.
-        velocity_bias: The length of a constant error of the velocity estimate, in a random direction, m/s.
-        position_noise: The largest error of the position estimate that is drawn anew each period, m.
-        velocity_noise: The largest error of the velocity estimate that is drawn anew each period, m/s.
-        position_noise_std: The standard deviation of a Gaussian position error of each axis, which has no bound, m.
-        velocity_noise_std: The standard deviation of a Gaussian velocity error of each axis, which has no bound, m/s.
-        noise_correlation_time: The time over which the Gaussian errors fall to a third (1/e), s; 0: new ones each
-            period.
-        delay: The true delay from a command to its effect, control periods.
-        dropped: The probability that a command is lost; the last one then goes on.
+        law: What replaces the law's force: full thrust (into the body); the way straight to the goal at twice the speed
+            limit (through); random forces; full thrust in a random corner for 15 periods each (bang-bang); NaN in every
+            15th command (not a number); or none.
+        position_bias, velocity_bias: Length of a constant error of the estimate, in a random direction, m or m/s.
+        position_noise, velocity_noise: Largest error of the estimate that is drawn anew each period, m or m/s.
+        position_noise_std, velocity_noise_std: Standard deviation of a Gaussian error of each axis, which has no bound,
+            m or m/s.
+        noise_correlation_time: Time over which the Gaussian errors fall to a third (1/e), s; 0: new ones each period.
+        delay: True delay from a command to its effect, control periods.
+        dropped: Probability that a command is lost; the last one then goes on.
         gain_error: Each axis gives 1 ± this times its command, drawn once a flight.
-        stuck: The thruster that sticks, by the direction in which it pushes; for `thrusters.layout = "ideal"`.
-        stuck_force: The force of the stuck thruster, N: 0 is stuck off, chaser.force_limit is stuck on.
-        stuck_from: The time at which the thruster sticks, s.
-        abort_at: The time at which the mission is abandoned, as `approach.abort` says, s; unset: it is not.
-        thruster: The number, counted from 0, of the thruster of a layout that sticks.
+        stuck: The ideal thruster that sticks, by the direction in which it pushes.
+        stuck_force: Force of the stuck thruster, N: 0 is stuck off, chaser.force_limit is stuck on.
+        stuck_from: Time at which the thruster sticks, s.
+        abort_at: Time at which the mission is abandoned, as `approach.abort` says, s; unset: never.
+        thruster: Number, counted from 0, of the thruster of a layout that sticks.
         thruster_stuck: Whether `thruster` sticks on or off.
 
     """
@@ -262,7 +260,7 @@ class PaperEntry(Entry):
         slowing_length: k_p of the desired velocity v_max tanh(r_e/k_p), by component, m.
         sharpness: ε of the smooth safety filter.
         position_weight: The Lyapunov function's H₀ is this times the identity.
-        gradient_error: The error e_∇h of the field's gradient; above 0 the barrier row becomes a cone.
+        gradient_error: Error e_∇h of the field's gradient; above 0 the barrier row becomes a cone.
 
     """
 
@@ -276,15 +274,15 @@ class ControlEntry(Entry):
     """The control law.
 
     Attributes:
-        profile: The recommended law ("default"), or the paper's law with its constants ("paper").
-        period: The time between two control steps, s.
-        guidance: Where the law leads: "geodesic", along the shortest free way, or "straight" to the goal; unset:
-            geodesic for the default profile, straight for the paper's.
-        spacing: The spacing of the geodesic guidance's grid, m; unset: it follows from the room and the zone's width.
-        circulation: The paper's circulation: none, as printed, made skew, or switching; unset: none for the default
-            profile, printed for the paper's.
-        observer: The estimate of the disturbance: harmonic, constant, as printed in the paper, or off; unset: harmonic
-            for the default profile, printed for the paper's.
+        profile: The recommended law (default), or the paper's with its constants (paper).
+        period: Time between two control steps, s.
+        guidance: Where the law leads: geodesic, along the shortest free way, or straight to the goal; unset: geodesic,
+            with the paper's profile straight.
+        spacing: Spacing of the geodesic guidance's grid, m; unset: it follows from the room and the zone's width.
+        circulation: The paper's circulation: none, printed, made skew, or switching; unset: none, with the paper's
+            profile printed.
+        observer: Estimate of the disturbance: harmonic, constant, printed in the paper, or off; unset: harmonic, with
+            the paper's profile printed.
 
     """
 
@@ -309,13 +307,11 @@ class OrbitEntry(Entry):
     """The target's orbit about the Earth.
 
     Attributes:
-        semi_major_axis: The semi-major axis, m; the perigee must be at least 6.4e6 m from the Earth's centre.
-        eccentricity: The eccentricity; 0 is a circle.
-        true_anomaly: The true anomaly at the start, rad.
-        inclination: The inclination, rad; it and the next two place the orbit in ECI, and matter with j2, drag, the sun
-            and in exports.
-        right_ascension: The right ascension of the ascending node, rad.
-        argument_of_perigee: The argument of perigee, rad.
+        semi_major_axis: Semi-major axis, m; the perigee must be at least 6.4e6 m from the Earth's centre.
+        eccentricity: Eccentricity; 0 is a circle.
+        true_anomaly: True anomaly at the start, rad.
+        inclination, right_ascension, argument_of_perigee: Inclination, right ascension of the ascending node, argument
+            of perigee in ECI, rad; they matter with j2, drag, the sun and in exports.
         j2: Whether the Earth's oblateness bends both orbits.
 
     """
@@ -338,11 +334,10 @@ class DragEntry(Entry):
     """Drag of both spacecraft in an exponential atmosphere that turns with the Earth.
 
     Attributes:
-        density: The air's density at `altitude`, kg/m3; 0: no drag.
-        altitude: The altitude above the equatorial radius at which the air has that density, m.
-        scale_height: The height over which the density falls to a third (1/e), m.
-        target_area_to_mass: The target's drag coefficient × area / mass, m2/kg.
-        chaser_area_to_mass: The chaser's drag coefficient × area / mass, m2/kg.
+        density: Air density at `altitude`, kg/m3; 0: no drag.
+        altitude: Altitude above the equatorial radius at which the air has that density, m.
+        scale_height: Height over which the density falls to a third (1/e), m.
+        target_area_to_mass, chaser_area_to_mass: Drag coefficient × area / mass, m2/kg.
 
     """
 
@@ -357,9 +352,8 @@ class SunEntry(Entry):
     """Sunlight: where it comes from, and how it pushes both spacecraft.
 
     Attributes:
-        direction: The direction from the Earth to the sun, ECI, any length; unset: as it is at `epoch`.
-        target_area_to_mass: The target's radiation pressure coefficient × area / mass, m2/kg; 0: no push.
-        chaser_area_to_mass: The chaser's radiation pressure coefficient × area / mass, m2/kg; 0: no push.
+        direction: Direction from the Earth to the sun, ECI, any length; unset: as at `epoch`.
+        target_area_to_mass, chaser_area_to_mass: Radiation pressure coefficient × area / mass, m2/kg; 0: no push.
 
     """
 
@@ -376,10 +370,10 @@ class AttitudeEntry(Entry):
     """How the target turns.
 
     Attributes:
-        kind: The target stands still in the orbital frame (vvlh), stands still among the stars (inertial), or turns
-            freely (tumbling).
-        angular_velocity: The inertial angular velocity at the start, in body axes, rad/s; for tumbling.
-        inertia: The tensor of inertia in body axes, kg m2; for tumbling.
+        kind: The target stands still in the orbital frame (vvlh) or among the stars (inertial), or turns freely
+            (tumbling).
+        angular_velocity: Inertial angular velocity at the start, body axes, rad/s; for tumbling.
+        inertia: Tensor of inertia, body axes, kg m2; for tumbling.
         gravity_gradient: Whether the Earth's gravity turns the target; for tumbling.
 
     """
@@ -400,14 +394,13 @@ class DisturbanceEntry(Entry):
     """The force that nobody commanded, in body axes.
 
     Attributes:
-        kind: The force: none; the paper's, 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; constant; bang-bang, which
-            changes sign every 50 s; resonant, which does with every control step; or random, smooth noise from the
-            seed.
+        kind: none; paper, 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; constant; bang-bang, which changes sign every 50
+            s; resonant, which does at every control step; or random, smooth noise from the seed.
         force: The constant force, N; `constant` needs it.
-        amplitude: The largest norm of the force, N; `bang-bang`, `resonant` and `random` need it.
-        phase: A phase, rad: added to that of every sinusoid (paper, random), or by which the square wave is ahead, 2π a
-            period (bang-bang, resonant).
-        bound: The largest force that the control law may assume, N; unset: the true bound.
+        amplitude: Largest norm of the force, N; `bang-bang`, `resonant` and `random` need it.
+        phase: Phase, rad: added to that of every sinusoid (paper, random), or by which the square wave is ahead, 2π a
+            period.
+        bound: Largest force that law and guard may assume, N; unset: the true bound.
 
     """
 
@@ -433,8 +426,7 @@ class StateEntry(Entry):
     """The chaser's state at the start relative to the target, in body axes.
 
     Attributes:
-        position: The position of the chaser's centre, m.
-        velocity: The velocity of the chaser's centre, m/s.
+        position, velocity: Position and velocity of the chaser's centre, m and m/s.
 
     """
 
@@ -459,9 +451,9 @@ class ThrusterEntry(Entry):
     """One thruster of a layout of your own.
 
     Attributes:
-        position: The place of the thruster, from the chaser's centre of mass, m.
-        direction: The direction of the force on the chaser, any length.
-        force: The force while the thruster is on, N; unset: `thrusters.force`.
+        position: Place from the chaser's centre of mass, m.
+        direction: Direction of the force on the chaser, any length.
+        force: Force while the thruster is on, N; unset: `thrusters.force`.
 
     """
 
@@ -480,20 +472,20 @@ class ThrustersEntry(Entry):
     Attributes:
         layout: ideal: any force up to chaser.force_limit an axis, at any instant; six, 12, 24: on/off thrusters, one,
             two or four for each direction; own: those of `own`.
-        held_in: The axes in which ideal thrusters hold a force over a control period: the target's, which turn with it,
-            or inertial ones, as of a chaser that does not turn.
-        own: The thrusters of a layout of your own, each with position, direction and force.
-        force: The force of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
-        least_on_time: The shortest pulse, s; a pulse of less than half of it is not fired.
-        modulation: How a force becomes pulses: pulse-width; or delta-sigma, by which later pulses make up for what one
-            gives too much or too little.
-        specific_impulse: The specific impulse, s; cold nitrogen has 70, hydrazine 220.
-        rise_delay: The time by which each pulse begins and ends late, s.
-        misalignment: The largest angle of a thruster's force to its direction, drawn once a flight, rad.
-        scale_error: The largest relative error of a thruster's force, drawn once a flight.
-        detection_time: The time from a thruster's sticking until the others are fired accordingly, s.
-        survive_failure: Whether the guard covers one thruster that sticks, off or on; chaser.force_limit must then be a
-            force that the others can give.
+        held_in: Axes in which ideal thrusters hold a force over a control period: the target's, which turn with it, or
+            inertial ones.
+        own: The thrusters of a layout of your own.
+        force: Force of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
+        least_on_time: Shortest pulse, s; less than half of it is not fired.
+        modulation: pulse-width, or delta-sigma, by which later pulses make up for what one gives too much or too
+            little.
+        specific_impulse: Specific impulse, s; cold nitrogen has 70, hydrazine 220.
+        rise_delay: Time by which each pulse begins and ends late, s.
+        misalignment: Largest angle of a thruster's force to its direction, drawn once a flight, rad.
+        scale_error: Largest relative error of a thruster's force, drawn once a flight.
+        detection_time: Time from a thruster's sticking until the others are fired accordingly, s.
+        survive_failure: Whether the guard covers one thruster that sticks, off or on; the others must then give
+            chaser.force_limit.
 
     """
 
@@ -527,17 +519,15 @@ class NavigationEntry(Entry):
     """What is known of the motion: sensors, the law's estimate, and the guard's certain set.
 
     Attributes:
-        suite: The sensors: far (GNSS), near (laser range and bearing), close (pose by lidar or camera), or none: the
-            true state with the errors of `faults`.
-        estimate: The estimate that the law flies by: filter, a Kalman filter of motion and disturbance; observer, the
-            last samples and the law's own observer; raw, the last samples alone.
-        position_noise: The largest error of a position of the suite close, m; unset: 0.05.
-        velocity_noise: The largest error of a velocity of the suite close, m/s; unset: 0.002.
-        dropout: The probability that a sample is lost; unset: the suite's own.
+        suite: Sensors: far (GNSS), near (laser range and bearing), close (pose by lidar or camera), or none: the true
+            state with the errors of `faults`.
+        estimate: What the law flies by: filter, a Kalman filter of motion and disturbance; observer, the last samples
+            and the law's own observer; raw, the last samples alone.
+        position_noise, velocity_noise: Largest error of a sample of the suite close, m or m/s; unset: 0.05 or 0.002.
+        dropout: Probability that a sample is lost; unset: the suite's own.
         most_missed: How many samples can be lost in a row; unset: the suite's own.
-        initial_position_error: The largest error of the first position, m; unset: the suite's where no sample is lost.
-        initial_velocity_error: The largest error of the first velocity, m/s; unset: the suite's where no sample is
-            lost.
+        initial_position_error, initial_velocity_error: Largest error of the first state, m or m/s; unset: the suite's
+            where no sample is lost.
 
     """
 

@@ -46,10 +46,10 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
 
     Attributes:
         name: The mission's name, for titles and files: letters, digits, `_`, `.` and `-`, a letter or digit first.
-        seed: The seed of everything that is drawn at random.
+        seed: Seed of everything that is drawn at random.
         duration: How long is flown, s; at least one control period.
-        epoch: The instant at which the flight starts, UTC; exports and the sun's place need it.
-        leg: Hold points, in the order in which they are flown to; the last one is the goal.
+        epoch: UTC at the start; exports and the sun's place need it.
+        leg: Hold points in their order; the last one is the goal.
         zone: Room that nobody may enter.
         corridor: Ways out of ports, beside which nobody may be.
 

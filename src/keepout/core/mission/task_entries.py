@@ -27,8 +27,8 @@ class RareEntry(Entry):
     """Starts that `keepout rare` draws beside the scenario's faults.
 
     Attributes:
-        start_position_std: The standard deviation of each axis of the start about start.position, m.
-        start_velocity_std: The standard deviation of each axis of the velocity about start.velocity, m/s.
+        start_position_std, start_velocity_std: Standard deviation of each axis of the start's position or velocity, m
+            or m/s.
 
     """
 
@@ -42,11 +42,11 @@ class DispersionEntry(Entry):
     Attributes:
         uniform: [least, largest]; of a vector: two corners of a box.
         normal: [mean, standard deviation], cut off at `within`; of a vector: of each component.
-        within: The number of standard deviations at which normal is cut off.
+        within: Standard deviations at which normal is cut off.
         choice: The values to choose from.
         weights: How often each value of choice is drawn, relative to the others; unset: all alike.
-        sphere: The length of a vector of any direction, or its [least, largest] length.
-        centre: The vector that sphere's is added to.
+        sphere: Length of a vector of any direction, or its [least, largest] length.
+        centre: Vector that sphere's is added to.
 
     """
 
@@ -86,9 +86,8 @@ class CampaignEntry(Entry):
     """Many flights: from random starts at rest in a box, or with the entries of `dispersions` drawn anew for each.
 
     Attributes:
-        runs: The number of flights.
-        lower: The lower corner of the box of starts, m; it counts without dispersions.
-        upper: The upper corner of the box of starts, m; it counts without dispersions.
+        runs: Number of flights.
+        lower, upper: Corners of the box of starts, m; they count without dispersions.
         sampling: How the dispersed numbers are drawn, over all of them together.
         dispersions: The entries that vary, by dotted name: `"chaser.mass" = {uniform = [18, 22]}`.
 
@@ -109,16 +108,16 @@ class RequireEntry(Entry):
     """What a flight, or a campaign's flights, must show; a command that finds otherwise ends with exit code 3.
 
     Attributes:
-        contact: "proved": the audit proves that nothing was touched; unset: it is not asked.
+        contact: "proved": the audit proves that nothing was touched.
         certified: Whether the guard's theorem must hold from the start.
-        clearance_m: The least clearance that the audit must prove, m.
-        delta_v_mps: The greatest Δv, m/s.
-        time_s: The time by which the goal must be reached, s.
+        clearance_m: Least clearance that the audit must prove, m.
+        delta_v_mps: Greatest Δv, m/s.
+        time_s: Time by which the goal must be reached, s.
         reached: Whether the goal must be reached.
-        zones: "proved": the audit proves that no zone was entered and no corridor left; unset: it is not asked.
+        zones: "proved": the audit proves that no zone was entered and no corridor left.
         holds: Whether every leg's place must be held for its dwell, and reached in its window.
-        share: The share of a campaign's runs that must meet each of these, judged by the lower end of its 95 %
-            interval; unset: every run must.
+        share: Share of a campaign's runs that must meet each of these, judged by the lower end of its 95 % interval;
+            unset: every run.
 
     """
 
@@ -137,27 +136,25 @@ class DepthSensorEntry(Entry):
     """A camera that measures distances (lidar, stereo), and what it promises.
 
     Attributes:
-        width: The pixels in a row.
-        height: The rows of pixels.
-        field_of_view: The angle between the left and the right edge of the image, rad.
-        rays_across: The rays along a pixel's edge; a pixel tells the first return of all its rays.
-        period: The time between two images, s; whole control periods.
-        latency: The time from an image to its use, s; whole control periods.
-        mounting: The sensor's place from the chaser's centre, in camera axes, m.
-        least_range: The least range, m; a nearer return says nothing.
-        greatest_range: The greatest range, m; a farther surface does not return.
-        range_error: The largest error of a range, m.
-        position_error: The largest error of the sensor's place in the map's frame, drift included, m.
-        attitude_error: The largest error of the sensor's attitude in the map's frame, drift included, rad.
+        width, height: Pixels of an image, across and down.
+        field_of_view: Angle between the left and the right edge of the image, rad.
+        rays_across: Rays along a pixel's edge; a pixel tells the first return of all its rays.
+        period: Time between two images, s; whole control periods.
+        latency: Time from an image to its use, s; whole control periods.
+        mounting: Place from the chaser's centre, in camera axes, m.
+        least_range, greatest_range: Ranges, m: a return below the least says nothing, surface beyond the greatest does
+            not return.
+        range_error: Largest error of a range, m.
+        position_error, attitude_error: Largest error of the sensor's pose in the map's frame, drift included, m or rad.
         surely_returned_width: Parts at least this wide surely return a ray within the range used, m.
         sure_empty_range: A ray without return is empty out to this range, m; 0: no return says nothing.
-        dropout: The probability that a return is lost; the sensor says that it was.
-        grazing_angle: The angle of incidence beyond which a return is lost, rad; the sensor says that it was.
-        turn_rate: The largest rate at which the boresight turns, rad/s.
-        turn_acceleration: The largest rate of change of that rate, rad/s².
+        dropout: Probability that a return is lost; the sensor says that it was.
+        grazing_angle: Angle of incidence beyond which a return is lost, rad; the sensor says that it was.
+        turn_rate, turn_acceleration: Largest rate at which the boresight turns, rad/s, and the largest change of that
+            rate, rad/s².
         errors: How errors are drawn: at random within their bounds, or adversarial, at the bounds with the worst signs.
-        broken: The promise that is broken: a range or pose error of twice the bound, ranges that mix near and far,
-            losses that look like no return, or an image that is of another time (late).
+        broken: Promise that is broken: a range or pose error of twice the bound, ranges that are mixed of near and far,
+            losses that look like no return, or an image of another time (late); or none.
 
     """
 
@@ -191,10 +188,10 @@ class MapEntry(Entry):
     """The map of room that was seen free; all other room is an obstacle.
 
     Attributes:
-        centre: The centre of the ball that holds the whole target, m.
-        radius: The radius of that ball, m; `keepout explore` needs it, since nobody knows the target.
-        spacing: The edge of the map's cubes, m.
-        cap: The greatest distance that the map tells apart, m, in whole spacings; unset: 1.5, rounded up to them.
+        centre: Centre of the ball that holds the whole target, m.
+        radius: Radius of that ball, m; `keepout explore` needs it, since nobody knows the target.
+        spacing: Edge of the map's cubes, m.
+        cap: Greatest distance that the map tells apart, m, in whole spacings; unset: 1.5, rounded up to them.
         file: A .keepmap file to go on from.
 
     """
@@ -211,11 +208,10 @@ class ExploreEntry(Entry):
 
     Attributes:
         towards: goal: open a way to goal.position and fly there; all round: see everything that can be seen.
-        most_views: The greatest number of images.
+        most_views: Greatest number of images.
         explained: An unknown cube this near to a return belongs to the seen surface, m.
-        expected: The target that the mission believes in, a built-in target's name or a mesh file; departures of the
-            seen surface from it are reported.
-        expected_units: The length unit of that file.
+        expected: Built-in target or mesh file that the mission believes in; departures from it are reported.
+        expected_units: Length unit of that file.
 
     """
 
@@ -230,16 +226,15 @@ class CameraEntry(Entry):
     """A camera at the chaser's centre that turns on its own, and what a frame must show of a patch.
 
     Attributes:
-        field_of_view: The full angle of the cone about the boresight that counts, rad.
-        pixels: The pixels across that cone.
-        least_range: The least range, m; nearer surface is not sharp.
-        greatest_range: The greatest range, m; farther surface does not count.
-        greatest_incidence: The greatest angle from a patch's normal to the camera, rad.
-        greatest_sample_distance: The greatest distance of samples on the surface, along its slant, m a pixel; unset: it
-            does not matter.
-        period: The time between two frames, s; whole control periods.
-        turn_rate: The largest rate at which the boresight turns, rad/s.
-        turn_acceleration: The largest rate of change of that rate, rad/s2.
+        field_of_view: Full angle of the cone about the boresight that counts, rad.
+        pixels: Pixels across that cone.
+        least_range: Least range, m; nearer surface is not sharp.
+        greatest_range: Greatest range, m; farther surface does not count.
+        greatest_incidence: Greatest angle from a patch's normal to the camera, rad.
+        greatest_sample_distance: Greatest distance of samples on the surface, along its slant, m a pixel; unset: any.
+        period: Time between two frames, s; whole control periods.
+        turn_rate, turn_acceleration: Largest rate at which the boresight turns, rad/s, and the largest change of that
+            rate, rad/s².
 
     """
 
@@ -264,8 +259,8 @@ class LightEntry(Entry):
     Attributes:
         kind: none: light does not matter; fixed: it comes from `direction` all the time; sun: from where the sun stands
             over the target by epoch, orbit and attitude, and not while the Earth hides any of it.
-        direction: The direction towards the light, in the target's body frame, any length; `fixed` needs it.
-        greatest_incidence: The greatest angle from a patch's normal to the light, rad.
+        direction: Direction towards the light, body frame, any length; `fixed` needs it.
+        greatest_incidence: Greatest angle from a patch's normal to the light, rad.
 
     """
 
@@ -284,10 +279,9 @@ class ProtectedEntry(Entry):
     """A part of the target that no thruster's plume may reach: a ball, or a box along the body axes.
 
     Attributes:
-        centre: The centre of the ball, body frame, m.
-        radius: The radius of the ball, m; 0: a point.
-        lower: The lower corner of the box, body frame, m.
-        upper: The upper corner of the box, body frame, m.
+        centre: Centre of the ball, body frame, m.
+        radius: Radius of the ball, m; 0: a point.
+        lower, upper: Corners of the box, body frame, m.
 
     """
 
@@ -322,26 +316,26 @@ class InspectEntry(Entry):
     """What `keepout inspect` is to see, by which tour, and the operator's limits.
 
     Attributes:
-        stand_off: The least distance of the chaser's centre from the target's surface, m.
-        patch_size: The edge of the surface's patches, each seen wholly or not at all, m; unset: 0.25, for a target
-            longer than 80 m 1.0, and for one shorter than 2.5 m a tenth of that length.
-        coverage: The share of the area that can be seen, and be lit in time, at which the flight ends.
+        stand_off: Least distance of the chaser's centre from the target's surface, m.
+        patch_size: Edge of the surface's patches, each seen wholly or not at all, m; unset: 0.25, for a target longer
+            than 80 m 1.0, for one shorter than 2.5 m a tenth of that length.
+        coverage: Share of the area that can be seen, and be lit in time, at which the flight ends.
         tour: plan: the views that cover most, in the best order; nearest: always the nearest view that shows something
             new; circumnavigation: natural motion round the target.
         objective: What the order of the views makes least: time, delta_v, or both, which is time + delta_v_worth × Δv.
-        delta_v_worth: The price of Δv in the objective both, s per m/s.
-        candidates: The greatest number of places from which views are considered.
-        most_views: The greatest number of views in one plan.
+        delta_v_worth: Price of Δv in the objective both, s per m/s.
+        candidates: Greatest number of places from which views are considered.
+        most_views: Greatest number of views in one plan.
         dwell: How long the chaser stays at each view, s; 0: it flies on.
-        proof_squares: The greatest number of squares of directions that the proof of what can be seen looks at: counted
-            work, the same on every machine.
-        proof_time: The longest time of that proof by the clock, s; if it ends the proof, results say so and differ from
+        proof_squares: Greatest number of squares of directions that the proof of what can be seen looks at, the same on
+            every machine.
+        proof_time: Longest time of that proof by the clock, s; if it ends the proof, results say so and differ from
             machine to machine; unset: no clock.
         passive_safety: How long a chaser that stops thrusting anywhere on its way touches nothing, s.
-        plume_half_angle: The angle between a thruster's plume's axis and its side, rad.
-        plume_range: The range beyond which a plume harms nothing, m; unset: it always does.
-        no_thrust_towards: Parts of the target that no plume may reach, each a ball or a box.
-        hold_points: Places where the chaser is held first, each with position and seconds.
+        plume_half_angle: Angle between a plume's axis and its side, rad.
+        plume_range: Range beyond which a plume harms nothing, m; unset: it always does.
+        no_thrust_towards: Parts of the target that no plume may reach.
+        hold_points: Places where the chaser is held first.
 
     """
 
