@@ -6,6 +6,7 @@ python docs/reference.py --check   # exit 1 where one of them is not of this ver
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -26,8 +27,8 @@ SCENARIO = """\
 
 This page answers whoever writes a scenario file: which entries there are, what each means, and which values it takes.
 
-- A line begins with an entry and its default in TOML, as it can stand below its table's header; `--set` and refusals say
-  `guard.delay`. Numbers are in SI units, angles in radians. Words that a meaning names as values are written in quotes.
+- A line begins with an entry and its default in TOML, as it can stand below its table's header; `--set` and refusals
+  say `guard.delay`. Numbers are in SI units, angles in radians. Words that a meaning names as values stand in quotes.
 - An empty file is valid: it is the source paper's Case 1. An entry without a default is unset unless it is given. It
   must be given where the line says *needed*.
 - The sentence below a header leads to the page on the table's use.
@@ -89,13 +90,11 @@ that it has.
 
 - `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met.
 - `--log <path>`: Add all that is said, with times, to this file.
-- `--json`: Print one JSON object on standard output, and all else on standard error. [Files and figures](files.md) has
-  its keys.
+- `--json`: Print one JSON object, whose keys are in [Files and figures](files.md), on standard output, and all else on
+  standard error.
 """
 LEFT_OUT = {"help", "quiet", "log", "as_json"}
 """Options that every command has."""
-SHARED = ("units", "scale", "drop_stray", "figures", "settings", "seed", "force")
-"""Options that several commands have, described once."""
 
 
 def range_of(spec: Mapping[str, Any]) -> str:
@@ -196,30 +195,29 @@ def option_line(option: Any, context: typer.Context) -> str:
     said, bracket, ending = said.partition("  [")
     default = ending.removesuffix("]").replace("default: ", "default ")
     if isinstance(option, TyperArgument):
-        return f"- `{option.name.upper()}{'…' if option.nargs == -1 else ''}`: {said}"
-    return f"- `{written}`" + (f" ({default})" if bracket else "") + f": {said}"
+        return f"- `{option.name.upper()}{'…' if option.nargs == -1 else ''}`: {said.removesuffix('.')}"
+    return f"- `{written}`" + (f" ({default})" if bracket else "") + f": {said.removesuffix('.')}"
 
 
 def commands_page() -> str:
-    """Give the page of all commands."""
-    shared: dict[str, str] = {}
-    lines: list[str] = []
+    """Give the page of all commands; lines that several of them have stand at its beginning."""
+    described: list[tuple[str, str, dict[str, str]]] = []
     for name, command in commands_of(typer.main.get_command(cli.app), "keepout"):
         context = typer.Context(command)
         said = [part for part in (command.help or "").split("\n\n") if not part.startswith("Exit code 3")]
-        lines += [f"## {name}", "", *(" ".join(part.split()) + "\n" for part in said)]
-        also = []
-        for option in command.params:
-            line = option_line(option, context)
-            if option.name in SHARED:
-                also.append(f"`{option.opts[0]}`")
-                if "default 0" not in line:  # commands on meshes draw points by a seed of their own
-                    shared.setdefault(option.name, line)
-            elif option.name not in LEFT_OUT:
-                lines.append(line)
-        lines += [f"- Common options: {', '.join(also)}."] * bool(also) + [""]
-    common = [shared[name] for name in SHARED]
-    return "\n".join([COMMANDS.rstrip(), *common, "", *lines]).rstrip() + "\n"
+        options = {
+            option.name.upper() if isinstance(option, TyperArgument) else option.opts[-1]: option_line(option, context)
+            for option in command.params
+            if option.name not in LEFT_OUT
+        }
+        described.append((name, " ".join(" ".join(said).split()), options))
+    count = Counter(line for *_, options in described for line in options.values())
+    lines = [COMMANDS.rstrip(), *(line for line in count if count[line] > 2), ""]
+    for name, said, options in described:
+        common = [f"`{option}`" for option, line in options.items() if count[line] > 2]
+        lines += [f"## {name}", "", said, "", *(line for line in options.values() if count[line] < 3)]
+        lines += [f"- {', '.join(common)}"] * bool(common) + [""]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def main() -> None:

@@ -58,15 +58,15 @@ app.add_typer(campaigns, name="campaign")
 class _Flying:
     """Options on how a campaign is flown."""
 
-    keep: Annotated[
-        str, typer.Option(help="Flights that become flight files: worst:N, by least clearance, all or none.")
-    ] = "worst:20"
+    keep: Annotated[str, typer.Option(help="Flights that become files: worst:N, by clearance, all or none.")] = (
+        "worst:20"
+    )
     batch: Annotated[
         int | None, typer.Option(callback=at_least(1), help="Flights at once; another number makes another campaign.")
     ] = None
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Who flies: tcp://HOST:PORT, a dask.distributed cluster; local or local:N, processes here."),
+        typer.Option(help="Who flies: local or local:N, processes here; tcp://HOST:PORT, a dask.distributed cluster."),
     ] = None
     mixed_processors: Annotated[
         bool, typer.Option("--mixed-processors", help="Let processors of several kinds fly, with other last bits.")
@@ -78,11 +78,9 @@ class _Flying:
 def campaign(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) with its [campaign] table.")],
     *,
-    out: Annotated[
-        Path | None, into("Folder for results and figures. By default out/NAME/campaign, by the scenario's name.")
-    ] = None,
+    out: Annotated[Path | None, into("Folder of the results, instead of out/NAME/campaign.")] = None,
     runs: Annotated[
-        int | None, typer.Option(callback=at_least(1, 10**9), help="Replaces the scenario's own number of flights.")
+        int | None, typer.Option(callback=at_least(1, 10**9), help="Flights, instead of the scenario's number.")
     ] = None,
     how: _Flying,
     seed: ScenarioSeed = None,
@@ -153,7 +151,7 @@ def _begun(out: Path, plan: "Plan", *, force: bool) -> "Dataset":
 
 @campaigns.command("report", epilog=example("keepout campaign report out/campaign"))
 def report(
-    folder: Annotated[Path, typer.Argument(help="The folder of a campaign, finished or not.")],
+    folder: Annotated[Path, typer.Argument(help="The folder of a campaign.")],
     as_json: AsJson = False,
 ) -> None:
     """Write a campaign's page, figures and CSV files anew: rates, distributions, what matters, the worst flights."""
@@ -183,8 +181,8 @@ def compare(
 @campaigns.command("replay", epilog=example("keepout campaign replay out/campaign --run 47"))
 def replay_run(
     folder: Annotated[Path, typer.Argument(help="The folder of a campaign.")],
-    run: Annotated[int, typer.Option(callback=at_least(0), help="Number of the run, as in the table.")],
-    out: Annotated[Path | None, into("Folder to write; by default run-N in that of the campaign.")] = None,
+    run: Annotated[int, typer.Option(callback=at_least(0), help="Number of the run in the table.")],
+    out: Annotated[Path | None, into("Folder to write, instead of run-N in the campaign's.")] = None,
     figures: Annotated[bool, typer.Option(help="Draw figures and the page.")] = True,
     as_json: AsJson = False,
 ) -> None:

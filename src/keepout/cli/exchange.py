@@ -32,15 +32,13 @@ if TYPE_CHECKING:
 class _Wanted:
     """Options on what a format writes."""
 
-    craft: Annotated[
-        str | None, typer.Option("--of", help="The craft that an OEM is of: chaser (if not given) or target.")
-    ] = None
+    craft: Annotated[str | None, typer.Option("--of", help="The craft of an OEM: chaser (if not given) or target.")] = (
+        None
+    )
     xml: Annotated[
         bool, typer.Option("--xml", help="Write OEM or AEM as XML; a file that ends in .xml is XML anyway.")
     ] = False
-    chaser_radius: Annotated[
-        float | None, from_zero("The radius of the certificate that is meant, m, where a field has several.")
-    ] = None
+    chaser_radius: Annotated[float | None, from_zero("Radius of the certificate that is meant, m.")] = None
     mesh: Annotated[str | None, typer.Option(help="The mesh for a GLB, where it is not where flight or field say.")] = (
         None
     )
@@ -94,19 +92,19 @@ class _Given:
     chaser_radius: Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")]
     acceleration_bound: Annotated[
         float,
-        from_zero("A bound on the chaser's inertial acceleration relative to the target, all causes together, m/s²."),
+        from_zero("Bound on the chaser's inertial acceleration relative to the target, all causes together, m/s²."),
     ]
     target_attitude: Annotated[Path | None, typer.Option(help="AEM of the target.")] = None
     target_fixed_in: Annotated[
-        str | None, typer.Option(help="Without an AEM: the axes that the body's are, vvlh (if not given) or inertial.")
+        str | None, typer.Option(help="The body's axes without an AEM: vvlh (if not given) or inertial.")
     ] = None
     turning_acceleration_bound: Annotated[
         float | None,
-        from_zero("A bound on the target's angular acceleration, rad/s²; if not given, measured from the attitudes."),
+        from_zero("Bound on the target's angular acceleration, rad/s², instead of one measured from the attitudes."),
     ] = None
     centre_of_mass: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="The target's centre of mass in body axes, m; if not given, the scenario's, or 0 0 0."),
+        typer.Option(help="The target's centre of mass, body axes, m, instead of the scenario's, or 0 0 0."),
     ] = None
     chaser_object: Annotated[
         str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that the chaser's OEM must have.")
@@ -121,11 +119,9 @@ class _Given:
         str | None, typer.Option(help="What the AEM calls the body's frame, if not SC_BODY or SC_BODY_1.")
     ] = None
     sample_error: Annotated[
-        float, from_zero("How far a relative position in the files can be wrong, m, if more than by its digits.")
+        float, from_zero("Error of a relative position in the files, m, if more than of its digits.")
     ] = 1e-6
-    attitude_error: Annotated[
-        float, from_zero("By what angle an attitude can be wrong, rad, if more than by its digits.")
-    ] = 0.0
+    attitude_error: Annotated[float, from_zero("Error of an attitude, rad, if more than of its digits.")] = 0.0
 
 
 @dataclass(frozen=True)
@@ -138,11 +134,11 @@ class _Placed:
         bool, typer.Option("--target-drop-stray", help="Leave out parts far from the rest.")
     ] = False
     target_thickness: Annotated[
-        float | None, typer.Option(help="The diameter of the ball that each point of a point cloud stands for, m.")
+        float | None, typer.Option(help="Diameter of the ball that each point of a point cloud stands for, m.")
     ] = None
     target_rotation: Annotated[
         tuple[float, float, float, float, float, float, float, float, float] | None,
-        typer.Option(help="The rotation matrix from file axes to body axes, row by row.", metavar="NINE NUMBERS"),
+        typer.Option(help="Rotation from file axes to body axes, row by row.", metavar="NINE NUMBERS"),
     ] = None
     target_origin: Annotated[
         tuple[float, float, float] | None, typer.Option(help="The body frame's origin in file axes, m.")
@@ -174,9 +170,7 @@ class _Placed:
 def audit(
     target: Annotated[
         str,
-        typer.Option(
-            help="The target's mesh file, a built-in target's name, or a scenario file (.toml), whose [target] it is."
-        ),
+        typer.Option(help="A mesh file, a built-in target's name, or a scenario file (.toml), whose [target] it is."),
     ],
     given: _Given,
     placed: _Placed,

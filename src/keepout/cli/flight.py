@@ -42,8 +42,6 @@ add_mission_command(
         help="Fly one scenario, audit the clearance on the exact mesh, and draw it.",
         example="keepout fly examples/case1.toml -o out/case1",
         scenario="A scenario file (TOML).",
-        out="Folder for flight file, figures and page.",
-        figures="figures",
         fly=fly_to_folder,
         table=terminal.flight_table,
     ),
@@ -59,12 +57,10 @@ add_mission_command(
 def replay(
     flights: Annotated[list[Path], typer.Argument(help="Flight files (.parquet, .npz), all around one target.")],
     out: Annotated[Path, into("The page to write (.html).")] = Path("replay.html"),
-    title: Annotated[str | None, typer.Option(help="The page's title; by default the first flight's name.")] = None,
+    title: Annotated[str | None, typer.Option(help="The page's title, instead of the first flight's name.")] = None,
     video: Annotated[
         Path | None,
-        typer.Option(
-            help="Also film it: .mp4, .gif, .webp, or .png for pictures in a row. Needs an installed Chromium."
-        ),
+        typer.Option(help="Also film it: .mp4, .gif, .webp, or .png (pictures in a row); needs Chromium."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -79,10 +75,8 @@ def replay(
 @app.command(epilog=example("keepout report out/case1 --pdf", "keepout report out/campaign --pdf -o campaign.pdf"))
 def report(
     folder: Annotated[Path, typer.Argument(help="The folder of fly, explore, inspect or campaign.")],
-    pdf: Annotated[
-        bool, typer.Option("--pdf", help="Write a PDF; without it a campaign's page is written anew.")
-    ] = False,
-    out: Annotated[Path | None, into("The PDF to write; by default report.pdf in that folder.")] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF; else a campaign's page is written anew.")] = False,
+    out: Annotated[Path | None, into("The PDF to write, instead of report.pdf in that folder.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Print what was flown as four pages: mission and assumptions, what is proved, what was flown, requirements."""

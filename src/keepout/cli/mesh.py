@@ -112,15 +112,13 @@ def fit(
     profile: Annotated[
         str,
         typer.Option(
-            help="default; quick, rough, for trying out; paper, the source paper's network and loss; "
+            help="default; quick, rough; paper, the source paper's network and loss; "
             "paper_printed, with the loss as printed."
         ),
     ] = "default",
     batch: Annotated[int | None, typer.Option(help="Points a step, instead of the profile's.")] = None,
     chaser_radius: ChaserRadius = 0.5,
-    certify: Annotated[
-        bool, typer.Option("--certify", help="Then prove its error bound for this radius, as `keepout certify` does.")
-    ] = False,
+    certify: Annotated[bool, typer.Option("--certify", help="Then prove its error bound, as `certify` does.")] = False,
     first: Annotated[
         Path | None,
         typer.Option("--from", help="Begin with the field of a mesh that differs little: a third of the time."),
@@ -129,9 +127,7 @@ def fit(
         float | None,
         typer.Option(help="End once no over-statement above this is found, m; the proved bound is some mm above."),
     ] = None,
-    at_most: Annotated[
-        float | None, typer.Option(help="End after about this time, s, the proof not counted: steps are left out.")
-    ] = None,
+    at_most: Annotated[float | None, typer.Option(help="End after about this time, s, without the proof.")] = None,
     read: MeshFile,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -200,7 +196,7 @@ def certify(
         bool,
         typer.Option(
             "--check",
-            help="Add nothing: prove every certificate of the file again, for all its radii. Exit code 1: not proved.",
+            help="Add nothing: prove every certificate of the file again. Exit code 1: not proved.",
         ),
     ] = False,
     mesh: WhereMesh = None,
@@ -313,9 +309,7 @@ def measure(
     field: Annotated[str, typer.Argument(help="A field file (.keepout); with --shipped, a built-in target's name.")],
     out: DrawnInto = None,
     mesh: WhereMesh = None,
-    shipped: Annotated[
-        bool, typer.Option("--shipped", help="Measure the field that comes with the package for a built-in target.")
-    ] = False,
+    shipped: Annotated[bool, typer.Option("--shipped", help="Measure the field that comes with the package.")] = False,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:

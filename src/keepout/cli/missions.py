@@ -24,9 +24,10 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="ENTRY=VALUE",
-        help="Replaces an entry of the scenario by a TOML value, as chaser.mass=25; as often as wanted.",
+        help="Replaces an entry of the scenario, as chaser.mass=25; as often as wanted.",
     ),
 ]
+Figures = Annotated[bool, typer.Option(help="Draw figures and the page.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what another mission left in the folder.")]
 _MISSION = "mission.json"
 """In a folder of results: what was flown into it, by which command, from which file."""
@@ -188,8 +189,8 @@ def add_mission_command(to: typer.Typer, name: str, of: terminal.MissionCommand)
 
     def command(
         scenario: Annotated[Path, typer.Argument(help=of.scenario)],
-        out: Annotated[Path | None, into(f"{of.out} By default out/NAME, by the scenario's name.")] = None,
-        figures: Annotated[bool, typer.Option(help=f"Draw {of.figures} and the page.")] = True,
+        out: Annotated[Path | None, into("Folder of the results, instead of out/NAME, by the scenario's name.")] = None,
+        figures: Figures = True,
         seed: ScenarioSeed = None,
         settings: Settings = None,
         force: Force = False,

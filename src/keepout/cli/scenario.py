@@ -29,7 +29,7 @@ app.add_typer(scenarios, name="scenario")
 @grouped
 def new_scenario(
     *,
-    out: Annotated[Path | None, into("The file to write (.toml); by default standard output.")] = None,
+    out: Annotated[Path | None, into("The file to write (.toml), instead of standard output.")] = None,
     target: Annotated[
         str | None, typer.Option("--for", help="A mesh file, or a built-in target's name, whose sizes to fill in.")
     ] = None,
@@ -121,7 +121,7 @@ def check_scenario(
 
 @scenarios.command("schema", epilog=example("keepout scenario schema -o keepout.schema.json"))
 def schema_of_scenarios(
-    out: Annotated[Path | None, into("The file to write (.json); by default standard output.")] = None,
+    out: Annotated[Path | None, into("The file to write (.json), instead of standard output.")] = None,
 ) -> None:
     """Write the JSON Schema of scenarios, by which editors complete and check them."""
     from keepout.core.mission.scenario import schema

@@ -16,9 +16,7 @@ from keepout.flights.pages import terminal
 @app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))
 def rare(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) in which something is random.")],
-    out: Annotated[
-        Path | None, into("Folder for results, figure and page. By default out/NAME/rare, by the scenario's name.")
-    ] = None,
+    out: Annotated[Path | None, into("Folder of the results, instead of out/NAME/rare.")] = None,
     below: Annotated[float, typer.Option(callback=at_least(-math.inf), help="The clearance, m; 0 is contact.")] = 0.0,
     runs: Annotated[int, typer.Option(callback=at_least(2), help="Repetitions whose spread gives the interval.")] = 8,
     flights: Annotated[
@@ -56,13 +54,11 @@ def reproduce(
     experiments: Annotated[
         list[str], typer.Argument(help="all, or any of table1, surfaces, volumes, case1, case2, runtime, case3.")
     ],
-    out: Annotated[Path, into("Folder for tables, figures and page.")] = Path("out/reproduce"),
+    out: Annotated[Path, into("Folder of the results.")] = Path("out/reproduce"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer flights, shipped fields: minutes.")] = False,
     fields: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder with fields of the paper's network, instead of hours of fitting: benchmarks/results/fields."
-        ),
+        typer.Option(help="Folder with fields of the paper's network: benchmarks/results/fields."),
     ] = None,
     seed: Seed = 0,
     as_json: AsJson = False,

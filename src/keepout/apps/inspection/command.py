@@ -59,9 +59,7 @@ def _table(summary: dict[str, Any]) -> Table:
 INSPECT = MissionCommand(
     help="See all of a target that can be seen, in light, without touching it; audit the flight on the exact mesh.",
     example="keepout inspect examples/inspect.toml -o out/inspect",
-    scenario="A scenario file (TOML), with [camera], [light] and [inspect] as needed.",
-    out="Folder for flight file, frames, pictures and page.",
-    figures="pictures",
+    scenario="A scenario file (TOML), with [camera], [light], [inspect] as needed.",
     fly=inspect_to_folder,
     table=_table,
     check=require_mission,

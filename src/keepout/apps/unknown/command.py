@@ -42,9 +42,7 @@ EXPLORE = MissionCommand(
     help="Fly round a target that nobody has a model of: map what is seen free, approach in it, audit on the true "
     "mesh.",
     example="keepout explore examples/explore.toml -o out/explore",
-    scenario="A scenario file (TOML) with [map], and [depth_sensor] and [explore] as needed.",
-    out="Folder for map, flight file, pictures and page.",
-    figures="pictures",
+    scenario="A scenario file (TOML) with [map], and [depth_sensor], [explore] as needed.",
     fly=explore_to_folder,
     table=_table,
 )

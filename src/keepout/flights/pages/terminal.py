@@ -160,8 +160,6 @@ class MissionCommand:
         help: what it does.
         example: a command line.
         scenario: what its scenario is.
-        out: what its folder is for.
-        figures: what it draws beside the page.
         fly: flies a scenario into a folder, with `figures` and `progress`; gives the summary.
         table: gives the summary for a person.
         check: refuses a file by its name.
@@ -171,8 +169,6 @@ class MissionCommand:
     help: str
     example: str
     scenario: str
-    out: str
-    figures: str
     fly: Callable[..., dict[str, Any]]
     table: Callable[[dict[str, Any]], Table]
     check: Callable[[Path], None] = lambda path: None
