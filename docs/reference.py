@@ -29,6 +29,7 @@ This page answers whoever writes a scenario file: which entries there are, what 
 
 - A line begins with an entry and its default in TOML, as it can stand below its table's header; `--set` and refusals
   say `guard.delay`. Numbers are in SI units, angles in radians. Words that a meaning names as values stand in quotes.
+- A number with a default and without bounds behind it must be > 0, or ≥ 0 where its default is 0.
 - An empty file is valid: it is the source paper's Case 1. An entry without a default is unset unless it is given. It
   must be given where the line says *needed*.
 - The sentence below a header leads to the page on the table's use.
@@ -140,12 +141,15 @@ def entry_head(name: str, field: FieldInfo) -> str:
 
 
 def values_of(field: FieldInfo, spec: Mapping[str, Any]) -> str:
-    """Give which values an entry takes, in brackets, where neither its default nor its meaning says so."""
+    """Give which values an entry takes, in brackets, where nothing else on the page says so."""
     values, said = range_of(spec), field.description or ""
     unset = field.is_required() or field.get_default(call_default_factory=True) is None
     words = [word.strip('`"') for word in values.split(", ")]
     if (values.startswith("`") and all(word in said for word in words)) or (values.endswith("numbers") and not unset):
         values = ""
+    if not unset and spec.get("type") in ("integer", "number"):
+        usual = "> 0" if field.get_default() else "≥ 0"
+        values = "" if values == usual else values or "any"
     values = "; ".join(filter(None, ("needed" if field.is_required() else "", values)))
     return f" ({values})" if values else ""
 

@@ -31,15 +31,15 @@ class LegEntry(Entry):
     """A place where the chaser holds before it flies on; the last leg's is the goal.
 
     Attributes:
-        name: Name in tables, plots and refusals; unset: the number.
+        name: In tables, plots and refusals; unset: the number.
         position: Hold point, m.
         axes: Axes of the position: body, or vvlh, if the target stands still in it.
         tolerance: The chaser is at the hold point while it is closer than this, m.
-        dwell: How long the chaser stays there without a break before it flies on, s.
+        dwell: How long the chaser stays there without a break, s.
         until: "go": the chaser flies on only after somebody says so, on board the caller, in simulation `go_at`.
         go_at: Time at which "go" is said in simulation, s; `until` needs it.
         speed_limit: Largest speed on the way to this place, m/s; unset: chaser.speed_limit.
-        within: [earliest, latest], s: the chaser does not fly here before the first, and is to be here by the second.
+        within: [earliest, latest], s: not flown to before the first, and reached by the second.
 
     """
 
@@ -64,20 +64,18 @@ class ZoneEntry(Entry):
     """Room that no part of the chaser may enter while the zone stands.
 
     Attributes:
-        name: Name in tables, plots and refusals; unset: the number.
-        shape: The shape; a cylinder and a cone begin at `centre` and go along `axis`, and a cone ends as a part of a
-            sphere.
-        centre: Centre of a sphere or ellipsoid, of a cylinder's first face, or a cone's apex, m.
-        radius: Radius of a sphere or cylinder, m.
-        semi_axes: Semi-axes of an ellipsoid along the zone's axes, m.
+        name: In tables, plots and refusals; unset: the number.
+        shape: A cylinder and a cone begin at `centre` and go along `axis`; a cone ends as a part of a sphere.
+        centre: Of a sphere or ellipsoid, of a cylinder's first face, or a cone's apex, m.
+        radius: Of a sphere or cylinder, m.
+        semi_axes: Of an ellipsoid along the zone's axes, m.
         lower, upper: Corners of a box along the zone's axes, m.
-        axis: Direction of a cylinder or cone, any length.
-        half_angle: Angle between a cone's axis and its side, rad.
-        length: Length of a cylinder or cone, m.
+        axis: Of a cylinder or cone, any length.
+        half_angle: Between a cone's axis and its side, rad.
+        length: Of a cylinder or cone, m.
         axes: Axes of these numbers, about the body frame's origin: body, vvlh, or inertial (ECI).
         start: Time from which the zone stands, s.
-        until: Time until which it stands, s, or "go": until "go" is said to the first leg that waits for it; unset: for
-            ever.
+        until: Until when it stands, s, or "go": until that is said to the first leg that waits for it; unset: for ever.
 
     """
 
@@ -113,11 +111,11 @@ class CorridorEntry(Entry):
     """Inside `length` of a port the chaser's centre stays in a cone, or a tube, that leads outwards from it.
 
     Attributes:
-        name: Name in tables, plots and refusals; unset: the number.
+        name: In tables, plots and refusals; unset: the number.
         port: Place of the port, body frame, m.
         axis: Direction from the port outwards, body frame, any length.
         length: Distance from the port within which the corridor binds, m.
-        half_angle: Angle between the cone's axis and its side, rad; unset: a tube.
+        half_angle: Between the cone's axis and its side, rad; unset: a tube.
         radius: Radius of the tube, which needs it, or of the cone at the port, m; unset: the cone begins as a point.
 
     """
@@ -140,14 +138,13 @@ class ApproachEntry(Entry):
     """How fast the chaser may fly how near, and how it gets away.
 
     Attributes:
-        speed_by_distance: Pairs [distance, m, largest speed, m/s] with falling distances; the speed is linear between
-            them.
-        distance_to: Point of the body frame to which the distance is measured, m; unset: the mesh, by the law's field,
-            which says less.
-        abort: What happens at `faults.abort_at`: retreat, to the hold point before the one flown to, under the guard;
-            or drift, with all thrusters off, so that no guard can act.
-        abort_time: How long a chaser that stops thrusting should touch nothing, s; such drifts are judged every few
-            seconds of a flight; unset: none is.
+        speed_by_distance: Pairs [distance, m, largest speed, m/s], far ones first; linear between them.
+        distance_to: Point of the body frame to which distances are, m; unset: the mesh, by the law's field, which says
+            less.
+        abort: At `faults.abort_at`: retreat to the hold point before the one flown to, under the guard; or drift with
+            all thrusters off, so that no guard can act.
+        abort_time: How long a chaser that stops thrusting should touch nothing, s; judged every few seconds of a
+            flight; unset: never.
 
     """
 

@@ -113,15 +113,15 @@ class TargetEntry(Entry):
     """The spacecraft that is flown around.
 
     Attributes:
-        source: Name of a built-in target (`keepout targets`), or file of a mesh, a point cloud or a map (.keepmap),
-            relative to the scenario.
+        source: A built-in target (`keepout targets`), or the file of a mesh, point cloud or map (.keepmap), relative to
+            the scenario.
         units: Length unit of the file; unset: metres, unless the file says its unit.
         scale: Metres per unit of the file, in place of `units`.
         drop_stray: Whether parts far from the rest are left out.
-        thickness: Diameter of the ball that each point of a point cloud stands for, m; a point cloud needs it.
+        thickness: Diameter of the ball that each point of a point cloud stands for, m; needed there.
         rotation: Rotation from file axes to body axes, three rows; unset: none.
         origin: The body frame's origin in file axes, m; unset: the file's own.
-        centre_of_mass: Centre of mass in the body frame, m: it orbits, and the target turns about it.
+        centre_of_mass: In the body frame, m: it orbits, and the target turns about it.
         parameters: Numbers of a built-in target, such as its wings' angle and span.
 
     """
@@ -145,8 +145,8 @@ class FieldEntry(Entry):
     """The field that the control law flies by.
 
     Attributes:
-        source: "shipped": the learned field of a built-in target; "grid": exact distances, made when needed, for any
-            target; or a .keepout file.
+        source: "shipped": the learned field of a built-in target; "grid": exact distances, made when needed; or a
+            .keepout file.
 
     """
 
@@ -158,7 +158,7 @@ class ChaserEntry(Entry):
 
     Attributes:
         mass: Mass that law and guard count with, kg.
-        radius: Radius of the ball that holds the whole chaser, m.
+        radius: Of the ball that holds the whole chaser, m.
         force_limit: Largest force along each body axis, N.
         speed_limit: Largest speed relative to the target, m/s.
 
@@ -188,7 +188,7 @@ class GuardEntry(Entry):
         enabled: Whether the guard flies along.
         position_error, velocity_error: Largest error of the estimate, m or m/s.
         mass_error, gain_error: Largest relative error of `chaser.mass`, or of the thrusters' force.
-        keeps_margin: Whether the theorem keeps `safety.margin` too, instead of only excluding contact.
+        keeps_margin: Whether the theorem keeps `safety.margin` too.
         delay: Delay from a command to its effect, control periods; the law predicts its state over it.
 
     """
@@ -206,13 +206,13 @@ class FaultsEntry(Entry):
     """Errors and failures of the flight, drawn from `seed`; law and guard know only what `guard` says of them.
 
     Attributes:
-        law: What replaces the law's force: full thrust (into the body); the way straight to the goal at twice the speed
-            limit (through); random forces; full thrust in a random corner for 15 periods each (bang-bang); NaN in every
-            15th command (not a number); or none.
+        law: What flies in the law's place: full thrust into the body; straight through to the goal at twice the speed
+            limit; random forces; bang-bang, full thrust in random corners for 15 periods each; not a number in every
+            15th command; none.
         position_bias, velocity_bias: Length of a constant error of the estimate, in a random direction, m or m/s.
         position_noise, velocity_noise: Largest error of the estimate that is drawn anew each period, m or m/s.
-        position_noise_std, velocity_noise_std: Standard deviation of a Gaussian error of each axis, which has no bound,
-            m or m/s.
+        position_noise_std, velocity_noise_std: Standard deviation of a Gaussian error of each axis, without a bound, m
+            or m/s.
         noise_correlation_time: Time over which the Gaussian errors fall to a third (1/e), s; 0: new ones each period.
         delay: True delay from a command to its effect, control periods.
         dropped: Probability that a command is lost; the last one then goes on.
@@ -276,13 +276,12 @@ class ControlEntry(Entry):
     Attributes:
         profile: The recommended law (default), or the paper's with its constants (paper).
         period: Time between two control steps, s.
-        guidance: Where the law leads: geodesic, along the shortest free way, or straight to the goal; unset: geodesic,
-            with the paper's profile straight.
-        spacing: Spacing of the geodesic guidance's grid, m; unset: it follows from the room and the zone's width.
-        circulation: The paper's circulation: none, printed, made skew, or switching; unset: none, with the paper's
+        guidance: geodesic, along the shortest free way, or straight to the goal; unset: geodesic, in the paper's
+            profile straight.
+        spacing: Spacing of the geodesic guidance's grid, m; unset: by the room and the zone's width.
+        circulation: The paper's: none, printed, made skew, or switching; unset: none, in the paper's profile printed.
+        observer: Of the disturbance: harmonic, constant, printed in the paper, or off; unset: harmonic, in the paper's
             profile printed.
-        observer: Estimate of the disturbance: harmonic, constant, printed in the paper, or off; unset: harmonic, with
-            the paper's profile printed.
 
     """
 
@@ -307,11 +306,11 @@ class OrbitEntry(Entry):
     """The target's orbit about the Earth.
 
     Attributes:
-        semi_major_axis: Semi-major axis, m; the perigee must be at least 6.4e6 m from the Earth's centre.
+        semi_major_axis: In m; the perigee must be at least 6.4e6 m from the Earth's centre.
         eccentricity: Eccentricity; 0 is a circle.
         true_anomaly: True anomaly at the start, rad.
-        inclination, right_ascension, argument_of_perigee: Inclination, right ascension of the ascending node, argument
-            of perigee in ECI, rad; they matter with j2, drag, the sun and in exports.
+        inclination, right_ascension, argument_of_perigee: Angles of the orbit in ECI (right ascension of the ascending
+            node), rad; they matter with j2, drag, the sun and in exports.
         j2: Whether the Earth's oblateness bends both orbits.
 
     """
@@ -370,10 +369,9 @@ class AttitudeEntry(Entry):
     """How the target turns.
 
     Attributes:
-        kind: The target stands still in the orbital frame (vvlh) or among the stars (inertial), or turns freely
-            (tumbling).
-        angular_velocity: Inertial angular velocity at the start, body axes, rad/s; for tumbling.
-        inertia: Tensor of inertia, body axes, kg m2; for tumbling.
+        kind: The target is fixed to the orbital frame (vvlh) or the stars (inertial), or turns freely (tumbling).
+        angular_velocity: Inertial, at the start, body axes, rad/s; for tumbling.
+        inertia: Body axes, kg m2; for tumbling.
         gravity_gradient: Whether the Earth's gravity turns the target; for tumbling.
 
     """
@@ -398,8 +396,7 @@ class DisturbanceEntry(Entry):
             s; resonant, which does at every control step; or random, smooth noise from the seed.
         force: The constant force, N; `constant` needs it.
         amplitude: Largest norm of the force, N; `bang-bang`, `resonant` and `random` need it.
-        phase: Phase, rad: added to that of every sinusoid (paper, random), or by which the square wave is ahead, 2π a
-            period.
+        phase: Phase, rad: added to that of every sinusoid, or by which the square wave is ahead, 2π a period.
         bound: Largest force that law and guard may assume, N; unset: the true bound.
 
     """
@@ -470,21 +467,19 @@ class ThrustersEntry(Entry):
     """The chaser's thrusters: any force at once, or thrusters that are on or off.
 
     Attributes:
-        layout: ideal: any force up to chaser.force_limit an axis, at any instant; six, 12, 24: on/off thrusters, one,
-            two or four for each direction; own: those of `own`.
-        held_in: Axes in which ideal thrusters hold a force over a control period: the target's, which turn with it, or
-            inertial ones.
+        layout: ideal: any force up to chaser.force_limit an axis; six, 12, 24: on/off thrusters, one, two or four for
+            each direction; own: those of `own`.
+        held_in: Axes in which ideal thrusters hold a force over a period: the target's, or inertial ones.
         own: The thrusters of a layout of your own.
         force: Force of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
         least_on_time: Shortest pulse, s; less than half of it is not fired.
-        modulation: pulse-width, or delta-sigma, by which later pulses make up for what one gives too much or too
-            little.
-        specific_impulse: Specific impulse, s; cold nitrogen has 70, hydrazine 220.
+        modulation: pulse-width, or delta-sigma: later pulses make up for what one gives too much or too little.
+        specific_impulse: In s; cold nitrogen has 70, hydrazine 220.
         rise_delay: Time by which each pulse begins and ends late, s.
-        misalignment: Largest angle of a thruster's force to its direction, drawn once a flight, rad.
+        misalignment: Largest angle of a force to its thruster's direction, drawn once a flight, rad.
         scale_error: Largest relative error of a thruster's force, drawn once a flight.
         detection_time: Time from a thruster's sticking until the others are fired accordingly, s.
-        survive_failure: Whether the guard covers one thruster that sticks, off or on; the others must then give
+        survive_failure: Whether the guard covers one thruster that sticks, off or on; the others must give
             chaser.force_limit.
 
     """
@@ -521,13 +516,13 @@ class NavigationEntry(Entry):
     Attributes:
         suite: Sensors: far (GNSS), near (laser range and bearing), close (pose by lidar or camera), or none: the true
             state with the errors of `faults`.
-        estimate: What the law flies by: filter, a Kalman filter of motion and disturbance; observer, the last samples
-            and the law's own observer; raw, the last samples alone.
+        estimate: What the law flies by: a Kalman filter of motion and disturbance; the last samples and the law's
+            observer; or raw samples.
         position_noise, velocity_noise: Largest error of a sample of the suite close, m or m/s; unset: 0.05 or 0.002.
         dropout: Probability that a sample is lost; unset: the suite's own.
         most_missed: How many samples can be lost in a row; unset: the suite's own.
         initial_position_error, initial_velocity_error: Largest error of the first state, m or m/s; unset: the suite's
-            where no sample is lost.
+            without losses.
 
     """
 

@@ -45,7 +45,7 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     """One mission: target, chaser, law, environment, start and goal. The defaults are the source paper's Case 1.
 
     Attributes:
-        name: The mission's name, for titles and files: letters, digits, `_`, `.` and `-`, a letter or digit first.
+        name: For titles and files: letters, digits, `_`, `.` and `-`, a letter or digit first.
         seed: Seed of everything that is drawn at random.
         duration: How long is flown, s; at least one control period.
         epoch: UTC at the start; exports and the sun's place need it.

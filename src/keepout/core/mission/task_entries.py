@@ -27,8 +27,7 @@ class RareEntry(Entry):
     """Starts that `keepout rare` draws beside the scenario's faults.
 
     Attributes:
-        start_position_std, start_velocity_std: Standard deviation of each axis of the start's position or velocity, m
-            or m/s.
+        start_position_std, start_velocity_std: Standard deviation of each axis of the start, m or m/s.
 
     """
 
@@ -87,8 +86,8 @@ class CampaignEntry(Entry):
 
     Attributes:
         runs: Number of flights.
-        lower, upper: Corners of the box of starts, m; they count without dispersions.
-        sampling: How the dispersed numbers are drawn, over all of them together.
+        lower, upper: Corners of the box of starts, m, without dispersions.
+        sampling: How dispersed numbers are drawn, over all together.
         dispersions: The entries that vary, by dotted name: `"chaser.mass" = {uniform = [18, 22]}`.
 
     """
@@ -116,8 +115,7 @@ class RequireEntry(Entry):
         reached: Whether the goal must be reached.
         zones: "proved": the audit proves that no zone was entered and no corridor left.
         holds: Whether every leg's place must be held for its dwell, and reached in its window.
-        share: Share of a campaign's runs that must meet each of these, judged by the lower end of its 95 % interval;
-            unset: every run.
+        share: Share of a campaign's runs that must meet each, by the lower end of its 95 % interval; unset: every run.
 
     """
 
@@ -142,19 +140,17 @@ class DepthSensorEntry(Entry):
         period: Time between two images, s; whole control periods.
         latency: Time from an image to its use, s; whole control periods.
         mounting: Place from the chaser's centre, in camera axes, m.
-        least_range, greatest_range: Ranges, m: a return below the least says nothing, surface beyond the greatest does
-            not return.
+        least_range, greatest_range: Ranges, m: a nearer return says nothing, farther surface does not return.
         range_error: Largest error of a range, m.
-        position_error, attitude_error: Largest error of the sensor's pose in the map's frame, drift included, m or rad.
-        surely_returned_width: Parts at least this wide surely return a ray within the range used, m.
+        position_error, attitude_error: Largest error of the pose in the map's frame, drift included, m or rad.
+        surely_returned_width: Parts this wide surely return a ray within the range used, m.
         sure_empty_range: A ray without return is empty out to this range, m; 0: no return says nothing.
         dropout: Probability that a return is lost; the sensor says that it was.
         grazing_angle: Angle of incidence beyond which a return is lost, rad; the sensor says that it was.
-        turn_rate, turn_acceleration: Largest rate at which the boresight turns, rad/s, and the largest change of that
-            rate, rad/s².
-        errors: How errors are drawn: at random within their bounds, or adversarial, at the bounds with the worst signs.
-        broken: Promise that is broken: a range or pose error of twice the bound, ranges that are mixed of near and far,
-            losses that look like no return, or an image of another time (late); or none.
+        turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and of that rate's change, rad/s².
+        errors: Errors are random within their bounds, or adversarial: at the bounds with the worst signs.
+        broken: Promise that is broken: range or pose error of twice the bound; ranges mixed of near and far; losses
+            that look like no return; late: images of another time; none.
 
     """
 
@@ -188,8 +184,8 @@ class MapEntry(Entry):
     """The map of room that was seen free; all other room is an obstacle.
 
     Attributes:
-        centre: Centre of the ball that holds the whole target, m.
-        radius: Radius of that ball, m; `keepout explore` needs it, since nobody knows the target.
+        centre: Of the ball that holds the whole target, m.
+        radius: Of that ball, m; `keepout explore` needs it.
         spacing: Edge of the map's cubes, m.
         cap: Greatest distance that the map tells apart, m, in whole spacings; unset: 1.5, rounded up to them.
         file: A .keepmap file to go on from.
@@ -231,10 +227,9 @@ class CameraEntry(Entry):
         least_range: Least range, m; nearer surface is not sharp.
         greatest_range: Greatest range, m; farther surface does not count.
         greatest_incidence: Greatest angle from a patch's normal to the camera, rad.
-        greatest_sample_distance: Greatest distance of samples on the surface, along its slant, m a pixel; unset: any.
+        greatest_sample_distance: Greatest distance of samples along the surface's slant, m a pixel; unset: any.
         period: Time between two frames, s; whole control periods.
-        turn_rate, turn_acceleration: Largest rate at which the boresight turns, rad/s, and the largest change of that
-            rate, rad/s².
+        turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and of that rate's change, rad/s².
 
     """
 
@@ -257,8 +252,8 @@ class LightEntry(Entry):
     """The light that a patch must be in to count as seen.
 
     Attributes:
-        kind: none: light does not matter; fixed: it comes from `direction` all the time; sun: from where the sun stands
-            over the target by epoch, orbit and attitude, and not while the Earth hides any of it.
+        kind: none: light does not matter; fixed: from `direction`; sun: from the sun by epoch, orbit and attitude, not
+            while the Earth hides any of it.
         direction: Direction towards the light, body frame, any length; `fixed` needs it.
         greatest_incidence: Greatest angle from a patch's normal to the light, rad.
 
@@ -317,20 +312,19 @@ class InspectEntry(Entry):
 
     Attributes:
         stand_off: Least distance of the chaser's centre from the target's surface, m.
-        patch_size: Edge of the surface's patches, each seen wholly or not at all, m; unset: 0.25, for a target longer
-            than 80 m 1.0, for one shorter than 2.5 m a tenth of that length.
-        coverage: Share of the area that can be seen, and be lit in time, at which the flight ends.
+        patch_size: Edge of the patches, each seen wholly or not at all, m; unset: 0.25, of a target longer than 80 m
+            1.0, shorter than 2.5 m a tenth of that.
+        coverage: Share of the area that can be seen and lit in time at which the flight ends.
         tour: plan: the views that cover most, in the best order; nearest: always the nearest view that shows something
             new; circumnavigation: natural motion round the target.
-        objective: What the order of the views makes least: time, delta_v, or both, which is time + delta_v_worth × Δv.
+        objective: What the order of views makes least: time, delta_v, or both: time + delta_v_worth × Δv.
         delta_v_worth: Price of Δv in the objective both, s per m/s.
         candidates: Greatest number of places from which views are considered.
         most_views: Greatest number of views in one plan.
         dwell: How long the chaser stays at each view, s; 0: it flies on.
-        proof_squares: Greatest number of squares of directions that the proof of what can be seen looks at, the same on
-            every machine.
-        proof_time: Longest time of that proof by the clock, s; if it ends the proof, results say so and differ from
-            machine to machine; unset: no clock.
+        proof_squares: Greatest number of squares of directions that the proof of what can be seen looks at.
+        proof_time: Longest time of that proof, s; if it ends the proof, results say so and differ from machine to
+            machine; unset: none.
         passive_safety: How long a chaser that stops thrusting anywhere on its way touches nothing, s.
         plume_half_angle: Angle between a plume's axis and its side, rad.
         plume_range: Range beyond which a plume harms nothing, m; unset: it always does.
