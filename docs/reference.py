@@ -86,11 +86,11 @@ examples. `python docs/reference.py` writes this page from the commands.
 
 ## Common options
 
-Each command has the first two, and all but `scenario schema` have `--json`. The last line of a command names the others
-that it has.
+An option with `=` takes a value; its default, if it has one, stands behind. Each command has the first two options, and
+all but `scenario schema` have `--json`. The last line of a command names the others that it has.
 
 - `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met.
-- `--log <path>`: Add all that is said, with times, to this file.
+- `--log=`: Add all that is said, with times, to this file.
 - `--json`: Print one JSON object, whose keys are in [Files and figures](files.md), on standard output, and all else on
   standard error.
 """
@@ -194,13 +194,19 @@ def commands_of(command: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 
 def option_line(option: Any, context: typer.Context) -> str:
-    """Give the line of one argument or option: how it is written, what it does, its default."""
+    """Give the line of one argument or option: how it is written, with its default after `=`, and what it does."""
     written, said = option.get_help_record(context)
-    said, bracket, ending = said.partition("  [")
-    default = ending.removesuffix("]").replace("default: ", "default ")
+    said, _, ending = said.partition("  [")
+    said = said.removesuffix(".")
     if isinstance(option, TyperArgument):
-        return f"- `{option.name.upper()}{'…' if option.nargs == -1 else ''}`: {said.removesuffix('.')}"
-    return f"- `{written}`" + (f" ({default})" if bracket else "") + f": {said.removesuffix('.')}"
+        return f"- `{option.name.upper()}{'…' if option.nargs == -1 else ''}`: {said}"
+    default = ending.removesuffix("]").partition("default: ")[2]
+    notes = ["required"] * ("required" in ending)
+    if option.is_flag:
+        notes += [f"default `--{default}`"] * bool(default)
+    elif option.metavar is None:
+        written = f"{', '.join(reversed(option.opts))}" + (" X Y Z" if option.nargs == 3 else f"={default}")
+    return f"- `{written}`" + (f" ({', '.join(notes)})" if notes else "") + f": {said}"
 
 
 def commands_page() -> str:
