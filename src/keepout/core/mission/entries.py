@@ -187,7 +187,8 @@ class GuardEntry(Entry):
     Attributes:
         enabled: Whether the guard flies along.
         position_error, velocity_error: Largest error of the estimate, m or m/s.
-        mass_error, gain_error: Largest relative error of `chaser.mass`, or of the thrusters' force.
+        mass_error: Largest relative error of `chaser.mass`.
+        gain_error: Largest relative error of the thrusters' force.
         keeps_margin: Whether the theorem keeps `safety.margin` too.
         delay: Delay from a command to its effect, control periods; the law predicts its state over it.
 
