@@ -119,7 +119,7 @@ class TargetEntry(Entry):
         scale: Metres per unit of the file, in place of `units`.
         drop_stray: Whether parts far from the rest are left out.
         thickness: Diameter of the ball that each point of a point cloud stands for, m; needed there.
-        rotation: Rotation from file axes to body axes, three rows; unset: none.
+        rotation: Rotation from file axes to body axes; unset: none.
         origin: The body frame's origin in file axes, m; unset: the file's own.
         centre_of_mass: In the body frame, m: it orbits, and the target turns about it.
         parameters: Numbers of a built-in target, such as its wings' angle and span.
