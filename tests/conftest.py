@@ -89,12 +89,14 @@ def box():
     return Target.load("box")
 
 
-@pytest.fixture
-def coarse_surfaces(monkeypatch):
-    """Level surfaces are cut and drawn with a quarter of the triangles that a page has."""
+@pytest.fixture(scope="module")
+def coarse_surfaces():
+    """Level surfaces are cut and drawn with a quarter of the triangles that a page has: by all that a module shows."""
     from keepout.flights.pages import drawn
 
-    monkeypatch.setattr(drawn, "_CELLS_ALONG", drawn._CELLS_ALONG // 2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drawn, "_CELLS_ALONG", drawn._CELLS_ALONG // 2)
+        yield
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -1,13 +1,11 @@
 """The exported C: what it refuses, and that compiled it answers as Python does, to rounding, statuses and all."""
 
 import dataclasses
-import json
 import os
 import re
 import shutil
 import struct
 import subprocess
-import sys
 import zlib
 from pathlib import Path
 
@@ -16,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths.command_line import keepout_command
 
 import keepout
 from keepout.apps.flight_code.folder import sources, write_flight_code
@@ -48,10 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scenario, out = base / "mission.toml", base / "flight"
     entries = "".join(f"{name} = {value}\n" for name, value in ERRORS["guard"].items())
     scenario.write_text(f"[guard]\n{entries}", encoding="utf-8")
-    command = [sys.executable, "-m", "keepout.cli", "export", str(scenario), "--to", "c", "-o", str(out), "--json"]
-    answer = subprocess.run(command, capture_output=True, text=True)
-    assert answer.returncode == 0, answer.stderr
-    summary = json.loads(answer.stdout)
+    summary = keepout_command("export", scenario, "--to", "c", "-o", out, "--json").json
     assert set(summary["files"]) == {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     assert summary["tables_bytes"] < 3.5e6
     assert "@" not in (out / "README.md").read_text(encoding="utf-8")

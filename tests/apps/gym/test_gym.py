@@ -13,13 +13,14 @@ from keepout.core.errors import KeepoutError
 from keepout.core.geometry.target import Target
 
 pytestmark = pytest.mark.long
-AHEAD = {"mission": {**dict(keepout.apps.gym.environment.MISSION), "start": {"position": [0.0, 5.0, 0.0]}}}
-"""Before the pocket's opening, the goal behind its floor."""
+AROUND = ("box", (-6.0, -7.0, -6.0), (6.0, 7.0, 6.0))
+AHEAD = ("box", (0.0, 5.0, 0.0), (0.0, 5.0, 0.0))
+"""Before the pocket's opening, the goal behind its floor. One compiled step is of both."""
 
 
 @pytest.fixture(scope="module")
 def guarded():
-    return gymnasium.make("keepout/Approach-v0").unwrapped
+    return gymnasium.make("keepout/Approach-v0", starts=AROUND).unwrapped
 
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space:UserWarning")
@@ -36,7 +37,9 @@ def test_it_is_an_environment_and_a_seed_is_an_episode_to_the_bit(guarded):
 
 def test_many_are_one_by_one_through_the_ends_of_episodes(guarded):
     """Towards the goal: some arrive, some are held before the pocket until the time is over, and all begin anew."""
-    envs = gymnasium.make_vec("keepout/Approach-v0", num_envs=3, vectorization_mode="vector_entry_point")
+    envs = gymnasium.make_vec(
+        "keepout/Approach-v0", num_envs=3, vectorization_mode="vector_entry_point", starts=AROUND
+    )
     towards = [-0.5 * np.eye(3), -6.0 * np.eye(3), np.zeros((1, 3))]
     seen = envs.reset(seed=40)[0]
     rows = [(seen, np.zeros(3), np.zeros(3, bool), np.zeros(3, bool), {})]
@@ -65,7 +68,7 @@ def test_the_shield_prevents_a_contact_that_the_bare_action_causes():
     pocket, goal = Target.load("pocket").distance, np.array([0.0, -4.0, 0.0])
     ended = {}
     for guard in (False, True):
-        env = gymnasium.make("keepout/Approach-v0", guard=guard, **AHEAD).unwrapped
+        env = gymnasium.make("keepout/Approach-v0", guard=guard, starts=AHEAD).unwrapped
         env.reset(seed=0)
         nearest, counted = np.inf, 0
         while True:

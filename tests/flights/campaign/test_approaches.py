@@ -11,7 +11,8 @@ from keepout.flights.campaign.campaign import run_campaign
 from keepout.flights.campaign.table import summary
 from keepout.flights.requirements import required
 
-pytestmark = pytest.mark.long
+# tests/core/mission/test_approach.py flies the same mission alone, and what a table counts is in test_results.py.
+pytestmark = pytest.mark.slow
 
 
 def test_runs_of_a_campaign_hold_and_enter_nothing():

@@ -64,7 +64,7 @@ def record(scenario):
 
 
 @pytest.fixture(scope="module")
-def replay(folder, record):
+def replay(folder, record, coarse_surfaces):
     write_replay(folder / "replay.html", of_records({"legs": record}), title="legs")
     return folder / "replay.html"
 
@@ -105,7 +105,6 @@ def test_axes_turn_in_the_replay_as_they_do_for_the_audit(scenario, record):
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("coarse_surfaces")
 def test_the_page_tells_of_legs_and_of_the_speed_allowed(replay):
     page = ReplayPage.read(replay)
     flight = page.flights()["legs"]
@@ -131,7 +130,6 @@ def test_who_stays_at_a_hold_has_not_reached_the_goal(record):
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("coarse_surfaces")
 def test_zones_stand_and_go_in_a_browser(replay):
     with shown(replay) as page:
 

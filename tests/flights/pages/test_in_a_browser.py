@@ -21,7 +21,7 @@ EVIL = "</script><script>globalThis.evil = 1</script> & <b>high</b>"
 
 
 @pytest.fixture(scope="module")
-def page_path(tmp_path_factory):
+def page_path(tmp_path_factory, coarse_surfaces):
     """Two passes: of the first the guard spoke from 40 s to 60 s, with a flag from 50 s to 55 s."""
     folder = tmp_path_factory.mktemp("replay in a browser")
     guard = np.zeros(STEPS + 1, np.int32)
@@ -234,6 +234,7 @@ def test_without_scripts_and_in_print_there_are_figures(started, page_path):
     page.close()
 
 
+@pytest.mark.slow  # a browser of its own; without scripts the same figures are shown
 def test_a_browser_without_webgl_shows_the_figures(start, page_path):
     bare = start("--disable-gpu", "--disable-3d-apis")
     page = bare.new_page()

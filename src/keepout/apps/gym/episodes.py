@@ -5,7 +5,7 @@ from a key of its seed and its number: whichever episodes fly beside it, it is t
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from typing import Any
 
@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import PyTreeDef
 from jaxtyping import Array, Bool, Float, Float32, Int, PRNGKeyArray
 
 from keepout.core.compiled.in_batches import where_needed
@@ -116,21 +117,30 @@ def advancing(world: World) -> Callable[[Episode, Float32[Array, "n 3"]], tuple[
     """
     arrays, still = eqx.partition(world, eqx.is_array)
     leaves, structure = jax.tree.flatten(arrays)
+    kind, frame = jax.tree.flatten(still)
+    return functools.partial(_compiled(structure, frame, tuple(kind)), leaves)
 
-    def anew(arrays: World, seed: Int[Array, ""], number: Int[Array, ""]) -> tuple[Episode, Told]:
-        return _begun(eqx.combine(arrays, still), seed, number)
+
+@functools.lru_cache(8)
+def _compiled(structure: PyTreeDef, frame: PyTreeDef, kind: tuple[Hashable, ...]) -> Callable:
+    """Give the compiled step of all worlds of a kind: those that differ in their arrays' numbers only."""
+    of_kind = jax.tree.unflatten(frame, kind)
+
+    def world(leaves: list[Array]) -> World:
+        return eqx.combine(jax.tree.unflatten(structure, leaves), of_kind)
+
+    def anew(leaves: list[Array], seed: Int[Array, ""], number: Int[Array, ""]) -> tuple[Episode, Told]:
+        return _begun(world(leaves), seed, number)
 
     @jax.jit
     def fly(leaves: list[Array], episodes: Episode, actions: Float32[Array, "n 3"]) -> tuple[Episode, Told]:
-        arrays = jax.tree.unflatten(structure, leaves)
-
         def one(episode: Episode, action: Float32[Array, "3"]) -> tuple[Episode, Told]:
-            flown = _flown(eqx.combine(arrays, still), episode, action)
-            return where_needed(anew, episode.over, flown, arrays, episode.seed, episode.number + 1)
+            flown = _flown(world(leaves), episode, action)
+            return where_needed(anew, episode.over, flown, leaves, episode.seed, episode.number + 1)
 
         return jax.vmap(one)(episodes, actions)
 
-    return functools.partial(fly, leaves)
+    return fly
 
 
 def _drawn(world: World, key: PRNGKeyArray) -> Vector:
