@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import keepout.gym
+import keepout.gym  # noqa: F401
 from keepout.core.errors import KeepoutError
 from keepout.core.geometry.target import Target
 
@@ -37,9 +37,7 @@ def test_it_is_an_environment_and_a_seed_is_an_episode_to_the_bit(guarded):
 
 def test_many_are_one_by_one_through_the_ends_of_episodes(guarded):
     """Towards the goal: some arrive, some are held before the pocket until the time is over, and all begin anew."""
-    envs = gymnasium.make_vec(
-        "keepout/Approach-v0", num_envs=3, vectorization_mode="vector_entry_point", starts=AROUND
-    )
+    envs = gymnasium.make_vec("keepout/Approach-v0", num_envs=3, vectorization_mode="vector_entry_point", starts=AROUND)
     towards = [-0.5 * np.eye(3), -6.0 * np.eye(3), np.zeros((1, 3))]
     seen = envs.reset(seed=40)[0]
     rows = [(seen, np.zeros(3), np.zeros(3, bool), np.zeros(3, bool), {})]

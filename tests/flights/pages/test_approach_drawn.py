@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 from truths.browser import shown, slide
 from truths.command_line import keepout_command
@@ -17,7 +18,7 @@ from keepout.core.fields.zones import ZonedField
 from keepout.core.mission.approach import regions, standing_zone
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.flights.pages.approach_drawn import told
+from keepout.flights.pages.approach_drawn import paint_bodies, told
 from keepout.flights.pages.flight_page import draw_error, draw_motion
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_flights, of_records
@@ -94,6 +95,23 @@ def test_bodies_are_drawn_where_the_audit_judges_them():
     for corridor, body in zip(CORRIDORS, bodies[-3:], strict=True):
         end = np.linalg.norm(body["profile"][-1])
         assert end == pytest.approx(corridor["length"])  # there the corridor ends
+
+
+def test_pictures_of_the_path_show_what_stands_still_and_keep_their_limits():
+    scenario = Scenario(target={"source": "box"}, leg=LEGS, zone=[*ZONES, SUN], corridor=CORRIDORS)
+    eye = Rotation.from_euler("zx", [0.4, 1.1]).as_matrix()
+    axes = Figure().subplots()
+    axes.plot([0.0, 9.0], [0.0, 4.0])
+    limits = axes.get_xlim(), axes.get_ylim()
+    paint_bodies(axes, scenario, eye)
+    assert (axes.get_xlim(), axes.get_ylim()) == limits
+    bodies = [body for body in told(scenario, 0.0)["bodies"] if body["name"] != "sun"]
+    outlines = [patch.get_path() for patch in axes.patches if patch.get_fill()]
+    for body, outline in zip(bodies, outlines, strict=True):
+        # A circle of 48 corners is 0.2 % narrower.
+        assert outline.contains_points((surface(body) @ eye.T)[:, :2], radius=0.02).all()
+    np.testing.assert_allclose(np.ptp(outlines[0].vertices, axis=0), 2.0 * ZONES[0]["radius"], rtol=5e-3)
+    np.testing.assert_allclose(axes.lines[-1].get_xydata(), [(eye @ HOLD)[:2]])
 
 
 @pytest.mark.long

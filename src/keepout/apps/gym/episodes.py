@@ -13,7 +13,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import PyTreeDef
 from jaxtyping import Array, Bool, Float, Float32, Int, PRNGKeyArray
 
 from keepout.core.compiled.in_batches import where_needed
@@ -122,7 +121,7 @@ def advancing(world: World) -> Callable[[Episode, Float32[Array, "n 3"]], tuple[
 
 
 @functools.lru_cache(8)
-def _compiled(structure: PyTreeDef, frame: PyTreeDef, kind: tuple[Hashable, ...]) -> Callable:
+def _compiled(structure: Any, frame: Any, kind: tuple[Hashable, ...]) -> Callable:
     """Give the compiled step of all worlds of a kind: those that differ in their arrays' numbers only."""
     of_kind = jax.tree.unflatten(frame, kind)
 

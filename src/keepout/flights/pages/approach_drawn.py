@@ -1,12 +1,15 @@
 """Legs, zones, corridors and the rule of speeds as pages draw them: bodies for the replay, lines for the plots."""
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from scipy.linalg import null_space
+from scipy.spatial import ConvexHull
 
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.approach import ends, unit
@@ -16,6 +19,10 @@ from keepout.core.mission.scenario import Scenario
 
 _ARC = 16
 """Pieces of a half or a part of a circle in a body's outline."""
+_ROUND = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
+_COLOURS = {"zone": "#d62728", "corridor": "#2ca02c"}
+STILL = "Red: zones, green: corridors, so far as they stand still over the target; diamonds: hold points."
+"""What `paint_bodies` shows, in words."""
 
 
 def label(kind: str, entry: LegEntry | ZoneEntry | CorridorEntry, number: int) -> str:
@@ -76,6 +83,44 @@ def paint_rules(
         allowed = allowed_speed(scenario, record.position, clearance)
         axes.plot(time, allowed, color="black", linewidth=0.9, linestyle=":", label="allowed")
     paint_legs(axes, time, scenario, record)
+
+
+def paint_bodies(axes: Axes, scenario: Scenario, eye: Float[np.ndarray, "3 3"]) -> None:
+    """Add zones, corridors and hold points to a panel with paths around a target, which keeps its limits.
+
+    Args:
+        axes: the panel.
+        scenario: with legs, zones and corridors, or without; a zone that moves over the target is left out.
+        eye: its axes as rows.
+
+    """
+    approach = told(scenario, 0.0)
+    limits = axes.get_xlim(), axes.get_ylim()
+    for body in approach["bodies"]:
+        if body["axes"] in ("body", "vvlh" if scenario.attitude.kind == "vvlh" else "body"):
+            flat = (_outline(body) @ eye.T)[:, :2]
+            look = {"facecolor": _COLOURS[body["kind"]], "alpha": 0.09, "zorder": 0.4}
+            axes.fill(*flat[ConvexHull(flat).vertices].T, **look, linewidth=0.0)
+            axes.fill(*flat[ConvexHull(flat).vertices].T, fill=False, edgecolor=look["facecolor"], linewidth=0.6)
+    holds = np.array([hold["position"] for hold in approach["holds"][:-1]]).reshape(-1, 3) @ eye.T
+    axes.plot(*holds[:, :2].T, color="black", marker="D", markersize=4, linestyle="")
+    axes.set(xlim=limits[0], ylim=limits[1])
+
+
+def _outline(body: Mapping[str, Any]) -> Float[np.ndarray, "places 3"]:
+    """Give places, body frame, m, of which a body of `told` is the convex hull, or nearly."""
+    if "profile" in body:
+        across, along = np.array(body["profile"]).T
+        flat = np.stack([np.outer(across, np.cos(_ROUND)), np.outer(across, np.sin(_ROUND))], axis=-1)
+        around = null_space(np.array([body["axis"]])).T
+        return (flat @ around + along[:, None, None] * np.array(body["axis"])).reshape(-1, 3) + body["at"]
+    if "size" in body:
+        corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+        return corners * body["size"] + body["at"]
+    up = np.sin(np.linspace(-0.5, 0.5, len(_ROUND) // 2 + 1) * math.pi)
+    across = np.sqrt(1.0 - up**2)
+    ball = [np.outer(across, np.cos(_ROUND)), np.outer(across, np.sin(_ROUND)), np.outer(up, np.ones(len(_ROUND)))]
+    return np.stack(ball, axis=-1).reshape(-1, 3) * body["semi_axes"] + body["at"]
 
 
 def told(scenario: Scenario, start: float) -> dict[str, Any]:

@@ -10,10 +10,11 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from keepout.core.flight.record import FlightRecord
+from keepout.core.mission.approach import has_rules
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.pages.approach_drawn import distance_left, paint_legs, paint_rules, places
+from keepout.flights.pages.approach_drawn import STILL, distance_left, paint_legs, paint_rules, places
 from keepout.flights.pages.figures import COLOURS, draw_signal, figure, logarithmic
 from keepout.flights.pages.head_and_foot import Headline, Provenance, verdict_of
 from keepout.flights.pages.mesh_pictures import draw_paths
@@ -48,11 +49,11 @@ def write_page(
         page.table([{"flight": name, **cells}])
         tell_requirements(page, summary["requirements"])
 
-    goal = flight.scenario.goal.position
     pictures: Pictures = {
         "paths": (
-            lambda path: draw_paths(path, flight.target, {name: flight.record.position}, goal),
-            "The path around the target, from two sides; dotted where the target hides it.",
+            lambda path: draw_paths(path, flight.target, {name: flight.record.position}, flight.scenario),
+            "The path around the target, from two sides; dotted where the target hides it."
+            + (f" {STILL}" if has_rules(flight.scenario) else ""),
         ),
         "clearance": (
             lambda path: draw_clearance(path, flight),

@@ -19,6 +19,8 @@ from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
 from keepout.core.kernel import kernel
+from keepout.core.mission.scenario import Scenario
+from keepout.flights.pages.approach_drawn import paint_bodies
 from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure, looks
 
 if TYPE_CHECKING:  # which takes long to import
@@ -243,9 +245,10 @@ def draw_target(path: Path, target: Target) -> None:
 
 
 def draw_paths(
-    path: Path, target: Target, paths: Mapping[str, Float[np.ndarray, "samples 3"]], goal: Sequence[float]
+    path: Path, target: Target, paths: Mapping[str, Float[np.ndarray, "samples 3"]], scenario: Scenario
 ) -> None:
-    """Draw flown paths (body frame, m) around the target from two sides into one PNG."""
+    """Draw flown paths (body frame, m) around the target from two sides into one PNG, with what else they keep off."""
+    goal = scenario.goal.position
     every = np.concatenate([target.vertices, *paths.values(), [goal]])
     flat = [(every[np.isfinite(every).all(axis=1)] @ eye_axes(*side).T)[:, :2] for side in PATHS_FROM]
     shapes = [float(np.divide(*np.ptp(of, axis=0)[::-1])) for of in flat]
@@ -253,6 +256,7 @@ def draw_paths(
         panels = drawing.subplots(1, 2)
         for axes, side in zip(panels, PATHS_FROM):
             paint_paths(axes, target, paths, [goal], eye_axes(*side))
+            paint_bodies(axes, scenario, eye_axes(*side))
         drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(len(paths) + 3, 6))
 
 

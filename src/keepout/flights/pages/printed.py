@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 
 from keepout.core.errors import ScenarioError, UsageError
+from keepout.core.mission.approach import has_rules
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place, write_whole
@@ -26,6 +27,7 @@ from keepout.flights import requirements
 from keepout.flights.campaign.dataset import read_campaign
 from keepout.flights.campaign.results import Results, results
 from keepout.flights.pages import campaign_page
+from keepout.flights.pages.approach_drawn import STILL, paint_bodies
 from keepout.flights.pages.figures import drawn
 from keepout.flights.pages.flight_page import paint_motion
 from keepout.flights.pages.head_and_foot import Headline, Provenance, as_toml, verdict_of
@@ -331,9 +333,9 @@ def _flight_parts(folder: Path, progress: Progress) -> _Parts:
         goals = [] if "coverage" in summary else [scenario.goal.position]  # who inspects flies to none
         for panel, side in zip(sheet.panels(2.9, 2), PATHS_FROM):
             paint_paths(panel, flight.target, {flight.name: record.position}, goals, eye_axes(*side))
-        sheet.words(
-            "The path from two sides, dotted where hidden. Square: start; disc: end; star: goal.", color="#5c6675"
-        )
+            paint_bodies(panel, scenario, eye_axes(*side))
+        words = "The path from two sides, dotted where hidden. Square: start; disc: end; star: goal."
+        sheet.words(words + (f" {STILL}" if has_rules(scenario) else ""), color="#5c6675")
         if summary.get("guard"):
             sheet.heading("What the guard assumes, and what follows")
             sheet.figures(_numbers(summary["guard"]))

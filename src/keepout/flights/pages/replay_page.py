@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.approach_drawn import paint_legs, paint_rules
+from keepout.flights.pages.approach_drawn import paint_bodies, paint_legs, paint_rules
 from keepout.flights.pages.figures import draw_signal, drawn, logarithmic, looks
 from keepout.flights.pages.head_and_foot import Provenance
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
@@ -82,6 +82,7 @@ def _picture(panel: Axes, flights: Sequence[Replayed]) -> None:
     paths = {flight.name: flight.shown.position[rows_shown(len(flight.shown.time))] for flight in flights}
     goals = {flight.scenario.goal.position for flight in flights if flight.share is None}
     paint_paths(panel, flights[0].target, paths, goals, eye_axes(*PATHS_FROM[0]) @ upright)
+    paint_bodies(panel, flights[0].scenario, eye_axes(*PATHS_FROM[0]) @ upright)
 
 
 def paint_clearance(panel: Axes, flights: Sequence[Replayed]) -> None:

@@ -19,6 +19,7 @@ from keepout.core.fields.model import Certificate
 from keepout.core.geometry.target import Target
 from keepout.core.mission.flight import Flight
 from keepout.core.whole_file import require_place, write_whole
+from keepout.flights.pages.approach_drawn import paint_bodies
 from keepout.flights.pages.figures import drawn
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths, paint_target
 from keepout.flights.pages.page import Markup, embedded, text
@@ -84,6 +85,7 @@ def plot(flight: Flight, path: str | Path | None = None) -> Figure:
         for place, side in enumerate(PATHS_FROM):
             panel = drawing.add_subplot(rows[0, place])
             paint_paths(panel, flight.target, {name: record.position}, [goal.position], eye_axes(*side))
+            paint_bodies(panel, flight.scenario, eye_axes(*side))
         for place, (words, (values, limit)) in enumerate(series.items()):
             panel = drawing.add_subplot(rows[1 + place // 2, place % 2])
             panel.plot(record.time, values, linewidth=0.9)
@@ -103,7 +105,9 @@ def flight_html(flight: Flight) -> str:
 
     def paint(drawing: Figure) -> None:
         goal, path = flight.scenario.goal.position, {flight.scenario.name: flight.record.position}
-        paint_paths(drawing.add_subplot(), flight.target, path, [goal], eye_axes(*PATHS_FROM[0]))
+        panel, eye = drawing.add_subplot(), eye_axes(*PATHS_FROM[0])
+        paint_paths(panel, flight.target, path, [goal], eye)
+        paint_bodies(panel, flight.scenario, eye)
 
     with tempfile.TemporaryDirectory() as folder:
         watched = watched_html(replay(flight, Path(folder) / "replay.html"))
