@@ -30,7 +30,7 @@ STYLES += [(colour, line, mark, 1.3) for line, mark in (("-", "o"), ("--", "^"),
 
 
 def draw(rivals: list[Rival], fields: Path, seed: int) -> None:
-    """Fly every rival alone and write `docs/figures/rivals-paths.png` and `.svg`."""
+    """Fly every rival alone and write `docs/figures/rivals-paths.png`."""
     folder = Path(__file__).resolve().parents[2] / "docs" / "figures"
     absent = {rival.name: [] for rival in rivals}
     with figure(folder / "rivals-paths.png", width=7.2, height=4.8) as drawing:
@@ -45,9 +45,6 @@ def draw(rivals: list[Rival], fields: Path, seed: int) -> None:
                 if said.startswith(("refused", "missing")):
                     absent[rival.name].append(f"{target}: {said.split(maxsplit=1)[0].rstrip(':')}")
         drawing.legend(handles=_legend(absent), loc="outside lower center", ncols=2, fontsize=7.5)
-        image = io.BytesIO()
-        drawing.savefig(image, format="svg")
-        write_whole(folder / "rivals-paths.svg", image.getvalue())
 
 
 def _legend(absent: dict[str, list[str]]) -> list[Line2D]:
