@@ -53,8 +53,8 @@ SEE = {
     "[corridor]": "approach",
     "approach": "approach",
     "campaign": "campaigns",
-    "require": "campaigns",
-    "rare": "campaigns",
+    "require": "my-mission.md#require-something",
+    "rare": "campaigns.md#rare-events",
     "depth_sensor": "mapping",
     "map": "explore",
     "explore": "explore",
@@ -158,7 +158,8 @@ def table_lines(title: str, table: type[Entry]) -> Iterator[str]:
     """Give the section of one table; of its entries those that are no tables themselves, alike ones in one line."""
     page = SEE.get(title)
     said = (table.__doc__ or "").splitlines()[0]
-    yield from (f"## [{title}]", "", f"[{said}]({page}.md)" if page else said, "")
+    place = page if page is None or ".md" in page else f"{page}.md"
+    yield from (f"## [{title}]", "", f"[{said}]({place})" if place else said, "")
     properties = table.model_json_schema()["properties"]
     entries = [(key, field) for key, field in table.model_fields.items() if not is_table(field.annotation)]
     for (meaning, values), alike in groupby(

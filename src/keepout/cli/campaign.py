@@ -90,7 +90,8 @@ def campaign(
 ) -> None:
     """Fly a scenario's campaign into a folder; stopped and started again, it goes on.
 
-    With --json, a line of JSON a second says on standard error how far it is.
+    `keepout campaign SCENARIO` is the same command. With --json, a line of JSON a second says on standard error how far
+    it is.
 
     Exit code 3: too few runs meet a requirement of the scenario's [require].
     """

@@ -154,7 +154,7 @@ class FieldEntry(Entry):
 
 
 class ChaserEntry(Entry):
-    """The chaser: a ball of `radius` with one thruster pair an axis.
+    """The chaser: a ball of `radius`.
 
     Attributes:
         mass: Mass that law and guard count with, kg.
