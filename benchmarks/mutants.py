@@ -131,8 +131,8 @@ MUTANTS = {
         ("half a cell of error", "hypot(radius, float", "hypot(radius, 0.5 * float", "map_field:bound")
     ],
     "apps/unknown/rule.py": [
-        ("cube as its inner ball", "0.5 * math.sqrt(3.0) * spacing", "0.5 * spacing", "promises:body"),
-        ("attitude taken as exact", "+ distance * rule.attitude_error", "", "promises:body"),
+        ("cube as its inner ball", "0.5 * math.sqrt(3.0) * spacing", "0.5 * spacing", "rule"),
+        ("attitude taken as exact", "+ distance * rule.attitude_error", "", "rule"),
         ("window a pixel short", "+ spread) / below) + middle + SLACK", "+ spread) / below) + middle - 1.0", "rule"),
     ],
     "apps/unknown/known_free.py": [("ball by the near face", "- (low + self.spacing)", "- low", "known_free:ball")],

@@ -182,6 +182,25 @@ def test_bounds_hold_and_are_nearly_met(name, delta_sigma, errors):
 
 
 @pytest.mark.long
+def test_errors_of_thrusters_that_are_askew_together_add_up_as_vectors():
+    """Each axis is turned towards the other two: what pulses leave out is more than (1 + ε) √3 F of their share."""
+    layout = made("six", misalignment=0.05)
+    bounds = thruster_errors(layout, force_limit=LIMIT, mass=20.0, period=1.0, delta_sigma=False)
+    six = thrusters(layout)
+    along = np.asarray(six.push)
+    across = np.sign(along.sum(axis=1, keepdims=True)) * np.ones(3) * np.linalg.norm(along, axis=1, keepdims=True)
+    across = (across - along) / np.sqrt(2.0)
+    askew = np.cos(0.05) * along + np.sin(0.05) * across
+    np.testing.assert_allclose(np.linalg.norm(askew, axis=1), np.linalg.norm(along, axis=1))
+    shares = 0.5 * layout.least_on_time * (along.sum(axis=1) > 0.0) * (1.0 - 1e-9)
+    state = eqx.tree_at(lambda memory: memory.push, six.initial_state(jax.random.key(0)), jnp.asarray(askew))
+    _, firing = six.fire(state, jnp.asarray(shares @ along))
+    np.testing.assert_array_equal(firing.force, 0.0)
+    left_out = np.linalg.norm(shares @ askew)
+    assert (1.0 + vector_error(layout)) * np.linalg.norm(shares @ along) < left_out <= bounds.force_error
+
+
+@pytest.mark.long
 def test_delta_sigma_gives_in_the_mean_what_pulse_width_leaves_out():
     small = np.tile([0.0004, -0.0007, 0.0009], (500, 1))  # all below half of the shortest pulse's 0.002 N
     plain = flown(thrusters(made("six")), small)

@@ -13,8 +13,9 @@ each axis. Within a group thrusters fire alike as far as their torques cancel, a
 over.
 
 How far pulses can be from the force asked for, and from the motion under it, is bounded (`thruster_errors`):
-docs/motion.md. A layout's forces are bounded by N = max ‖Σ F_g |d_g|‖ over the groups that fire together
-(`Allocation.active`): whatever signs and sizes e_g ≤ e their errors have, ‖Σ e_g F_g d_g‖ ≤ e N.
+docs/motion.md. A layout's forces are bounded by N = max (‖Σ F_g |d_g|‖ + ε Σ F_g) over the groups that fire together
+(`Allocation.active`), where each pushes along d_g but for a vector ε_g of at most ε: whatever share k_g of each is left
+out or too much, |k_g| ≤ k, ‖Σ k_g F_g (d_g + ε_g)‖ ≤ k N.
 """
 
 import math
@@ -375,12 +376,12 @@ def thruster_errors(
 ) -> ThrusterErrors:
     """Bound the errors of a layout's pulses.
 
-    With T the period, τ the least on-time, ρ the rise delay and e = (1 + ε) N, where ε bounds the relative error of a
-    thruster's force as a vector: a pulse is wrong by at most τ/2, or τ where it makes up for earlier ones. A centred
-    pulse that is on for the share p leaves the mean's motion by p(1−p) T/2 ≤ T/8 times its force over the mass in
-    velocity, and by p(1−p) T²/8 ≤ T²/32 in position. A delay moves what is on by up to ρ at either end of the period:
-    2ρ and 2ρT more, a mean wrong by 2ρ/T, and an end that is off by up to 1.5ρT in position, which is what a force of
-    4 · 1.5ρ/T that changes its sign in the middle of the period does.
+    With T the period, τ the least on-time, ρ the rise delay and ε a bound on the relative error of a thruster's force
+    as a vector, all times N: a pulse is wrong by at most τ/2, or τ where it makes up for earlier ones. A centred pulse
+    that is on for the share p leaves the mean's motion by p(1−p) T/2 ≤ T/8 times its force over the mass in velocity,
+    and by p(1−p) T²/8 ≤ T²/32 in position. A delay moves what is on by up to ρ at either end of the period: 2ρ and 2ρT
+    more, a mean wrong by 2ρ/T, and an end that is off by up to 1.5ρT in position, which is what a force of 4 · 1.5ρ/T
+    that changes its sign in the middle of the period does.
 
     Args:
         layout: the thrusters.
@@ -395,13 +396,12 @@ def thruster_errors(
     if detection_time is not None:
         allocations += [Allocation.of(layout.without(i)) for i in range(layout.count)]
     directions = layout.groups()[1]
-    strongest = max(_together(allocation, directions) for allocation in allocations)
     tilt = vector_error(layout)
-    size = (1.0 + tilt) * strongest
+    size = max(_together(allocation.active(), allocation, directions, tilt) for allocation in allocations)
     late = layout.rise_delay
     quantum = layout.least_on_time * (1.0 if delta_sigma else 0.5) / period
-    all_on = np.linalg.norm(np.abs(directions).T @ np.asarray(allocations[0].largest))
-    owed = (1.0 + tilt) * float(all_on) * 0.5 * layout.least_on_time
+    every = np.ones((1, len(directions)))
+    owed = _together(every, allocations[0], directions, tilt) * 0.5 * layout.least_on_time
     return ThrusterErrors(
         force_error=size * (quantum + 8.0 * late / period),
         running_error=owed + 2.0 * size * late if delta_sigma else math.inf,
@@ -419,10 +419,11 @@ def vector_error(layout: Layout) -> float:
     return math.sqrt(scale**2 + 2.0 * (1.0 + scale) * (1.0 - math.cos(layout.misalignment)))
 
 
-def _together(allocation: Allocation, directions: np.ndarray) -> float:
-    """N of one allocation."""
-    forces = np.abs(directions) * np.asarray(allocation.largest)[:, None]
-    return float(np.linalg.norm(allocation.active().astype(float) @ forces, axis=1).max())
+def _together(active: np.ndarray, allocation: Allocation, directions: np.ndarray, tilt: float) -> float:
+    """N of one allocation, with the groups that are on at each of its points; `tilt` is ε."""
+    largest = np.asarray(allocation.largest)
+    along = np.linalg.norm(active.astype(float) @ (np.abs(directions) * largest[:, None]), axis=1)
+    return float((along + tilt * (active @ largest)).max())
 
 
 def _spent(allocations: Sequence[Allocation], force_limit: float, layout: Layout) -> float:
