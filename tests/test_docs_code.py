@@ -31,9 +31,7 @@ QUICKER = {
         # A cluster that is not there, and no waiting for it.
         ("from dask_jobqueue import SLURMCluster", "from unittest.mock import MagicMock as SLURMCluster"),
         ("while True:\n    time.sleep(60)\n", ""),
-        ("below=0.0", "below=0.3, runs=2, flights=64"),
     ],
-    "docs/explore.md": [("examples/explore.toml", "mission.toml")],
     "docs/inspection.md": [
         ('keepout.inspect("examples/inspect.toml")', 'keepout.inspect("mission.toml")'),
         ('Scenario.load("examples/inspect.toml")', 'Scenario.load("mission.toml")'),
@@ -66,18 +64,6 @@ field.source = "grid"
 start.position = [9.0, 0.0, 0.0]
 leg = [{position = [7.0, 0.0, 0.0], until = "go", go_at = 9.0}, {position = [5.0, 0.0, 0.0]}]
 """,
-    "docs/explore.md": """
-name = "small"
-duration = 900.0
-target.source = "box"
-map = {radius = 3.0, spacing = 0.25, cap = 2.0}
-depth_sensor = {width = 64, height = 48, surely_returned_width = 0.12}
-chaser.radius = 0.3
-disturbance.kind = "none"
-start.position = [-5.0, 0.0, 0.0]
-goal.position = [4.0, 0.0, 0.0]
-explore.most_views = 60
-""",
     "docs/inspection.md": INSPECT,
     "docs/python.md": """
 duration = 20.0
@@ -86,15 +72,6 @@ field.source = "grid"
 guard.enabled = false
 start.position = [0.0, 1.0, 5.3]
 goal.position = [0.0, -0.6, -5.0]
-""",
-    "docs/campaigns.md": """
-name = "near"
-duration = 40.0
-start.position = [8.0, 1.5, 1.2]
-goal.position = [8.0, -1.5, 1.2]
-guard.enabled = false
-control.guidance = "straight"
-faults = {position_noise_std = 0.05, velocity_noise_std = 0.02, noise_correlation_time = 10.0}
 """,
 }
 
