@@ -162,6 +162,19 @@ class CompiledStep:
         )
         return order
 
+    def fields(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Give the values of the guard's field and of the law's at points (n, 3), m."""
+        guard, law = np.zeros(len(points)), np.zeros(len(points))
+        place = self._at(np.ascontiguousarray(points, np.float64))
+        self._library.harness_fields(len(points), place, self._at(guard), self._at(law))
+        return guard, law
+
+    def function(self, name: str, x: np.ndarray) -> np.ndarray:
+        """Give a function of keepout_math.c, "exp" for instance, of each number."""
+        function = getattr(self._library, f"keepout_{name}")
+        function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
+        return np.array([function(number) for number in x])
+
     def fly(self, estimate: np.ndarray, push: np.ndarray, steps: int) -> np.ndarray:
         """Fly closed loops under a constant force (N) from each state; the states at the end."""
         end = np.ascontiguousarray(estimate)
