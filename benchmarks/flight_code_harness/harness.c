@@ -36,10 +36,12 @@ void harness_fields(int count, const double (*point)[3], double *guard, double *
     int i;
     for (i = 0; i < count; i++) {
         double gradient[3];
-        guard[i] = mission.guard->present ? keepout_spline_value(mission.guard_spline, point[i]) : 0.0;
+        keepout_cell cell;
+        cell.known = false;
+        guard[i] = mission.guard->present ? keepout_spline_value(mission.guard_spline, point[i], &cell) : 0.0;
         law[i] = (mission.law->field == KEEPOUT_NETWORK)
                      ? keepout_network_value_and_gradient(mission.network, point[i], gradient)
-                     : keepout_spline_value(mission.law_spline, point[i]);
+                     : keepout_spline_value(mission.law_spline, point[i], &cell);
     }
 }
 
