@@ -162,6 +162,17 @@ class CompiledStep:
         )
         return order
 
+    def guard(
+        self, memory: np.ndarray, estimate: np.ndarray, force: np.ndarray, disturbance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Run the guard alone on commanded forces (n, 3), N: what it gives, and its statuses."""
+        filtered, status = np.zeros((len(estimate), 3)), np.zeros(len(estimate), np.int32)
+        given = [np.ascontiguousarray(array) for array in (estimate, force, disturbance)]
+        self._library.harness_guard(
+            len(estimate), self._at(memory), *map(self._at, given), self._at(filtered), self._at(status)
+        )
+        return filtered, status
+
     def fields(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Give the values of the guard's field and of the law's at points (n, 3), m."""
         guard, law = np.zeros(len(points)), np.zeros(len(points))

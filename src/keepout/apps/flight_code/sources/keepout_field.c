@@ -228,6 +228,11 @@ double keepout_network_value_and_gradient(const keepout_network *field, const do
     int32_t inputs = 3;
     int32_t layer;
     int32_t i;
+    for (layer = 0; layer < KEEPOUT_LAYERS; layer++) {
+        for (i = 0; i < KEEPOUT_WIDTH; i++) {
+            slopes[layer][i] = 0.0;
+        }
+    }
     keepout_into_domain(&field->continuation, point, inside);
     for (i = 0; i < 3; i++) {
         now[i] = (inside[i] - field->continuation.centre[i]) / field->scale;
@@ -236,7 +241,9 @@ double keepout_network_value_and_gradient(const keepout_network *field, const do
         const int32_t width = field->width[layer];
         forward(field->weights[layer], field->biases[layer], width, inputs, now, next);
         for (i = 0; i < width; i++) {
-            now[i] = softplus(next[i], field->beta, &slopes[layer][i]);
+            double slope;
+            now[i] = softplus(next[i], field->beta, &slope);
+            slopes[layer][i] = slope;
         }
         inputs = width;
     }

@@ -295,8 +295,8 @@ static bool watched(const keepout_guard *guard, const keepout_guard_memory *memo
         jumped = true;
     }
     seen->counted = 0;
-    if ((windows > 0) && (guard->window[windows - 1] > 0)) {
-        seen->counted = (memory->counted + 1) % guard->window[windows - 1];
+    if ((windows > 0) && (memory->counted < (guard->window[windows - 1] - 1))) {
+        seen->counted = memory->counted + 1;
     }
     return jumped;
 }

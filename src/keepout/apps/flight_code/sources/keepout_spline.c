@@ -62,7 +62,7 @@ static reach_of_axis reach_from(int32_t first)
     int32_t i;
     for (i = 0; i < 4; i++) {
         reach.side[i] = ((first + i) < EDGE) ? 0 : 1;
-        reach.node[i] = (uint32_t)((first + i) - (EDGE * reach.side[i]));
+        reach.node[i] = (uint32_t)(first + i) % (uint32_t)EDGE;
     }
     reach.sides = 1 + reach.side[3];
     return reach;
@@ -115,21 +115,22 @@ static void coarsest_window(const keepout_spline *field, const int32_t start[3],
         brick[i] = block_of(start[i] + 1); /* bricks begin at node -1 */
         reach[i] = reach_from((start[i] + 1) - (EDGE * brick[i]));
     }
-    for (i = 0; i < reach[0].sides; i++) {
-        for (j = 0; j < reach[1].sides; j++) {
-            for (k = 0; k < reach[2].sides; k++) {
+    for (i = 0; i < 2; i++) {
+        for (j = 0; j < 2; j++) {
+            for (k = 0; k < 2; k++) {
                 const int32_t x = brick[0] + i;
                 const int32_t y = brick[1] + j;
                 const int32_t z = brick[2] + k;
                 uint32_t found = KEEPOUT_NONE;
-                if ((x >= 0) && (y >= 0) && (z >= 0) && (x < field->bricks[0]) && (y < field->bricks[1])
-                    && (z < field->bricks[2])) {
+                if ((i < reach[0].sides) && (j < reach[1].sides) && (k < reach[2].sides) && (x >= 0) && (y >= 0)
+                    && (z >= 0) && (x < field->bricks[0]) && (y < field->bricks[1]) && (z < field->bricks[2])) {
                     found = two_bytes(field->brick,
                                       (uint32_t)((((x * field->bricks[1]) + y) * field->bricks[2]) + z));
                 }
-                number[i][j][k] = KEEPOUT_NONE;
-                if ((found != KEEPOUT_NONE) && (found < field->brick_count)) {
-                    number[i][j][k] = found;
+                number[i][j][k] = found;
+                base[i][j][k] = 0.0;
+                scale[i][j][k] = 0.0;
+                if (found < field->brick_count) {
                     base[i][j][k] = single(field->brick_base, found);
                     scale[i][j][k] = single(field->brick_scale, found);
                 }
@@ -145,7 +146,7 @@ static void coarsest_window(const keepout_spline *field, const int32_t start[3],
                 const int32_t z = reach[2].side[k];
                 const uint32_t found = number[x][y][z];
                 c[i][j][k] = NOWHERE;
-                if (found != KEEPOUT_NONE) {
+                if (found < field->brick_count) {
                     const uint32_t place = ((found * VOLUME) + row) + reach[2].node[k];
                     c[i][j][k] = (float)(base[x][y][z]
                                          + (scale[x][y][z] * signed_two_bytes(field->brick_values, place)));
@@ -247,7 +248,7 @@ static void refined(const keepout_spline *field, int32_t level, const int32_t st
                 }
                 now.number[i][j][k] = number;
                 scale[i][j][k] = 0.0;
-                if (number != KEEPOUT_NONE) {
+                if (number < field->blocks[level]) {
                     scale[i][j][k] = single(field->scale[level], number);
                     any = true;
                 }
@@ -265,7 +266,7 @@ static void refined(const keepout_spline *field, int32_t level, const int32_t st
                 const int32_t z = reach[2].side[k];
                 const uint32_t block = any ? now.number[x][y][z] : KEEPOUT_NONE;
                 double value = finer[i][(4 * j) + k];
-                if (block != KEEPOUT_NONE) {
+                if (block < field->blocks[level]) {
                     const uint32_t place = ((block * VOLUME) + row) + reach[2].node[k];
                     const double units = (level == 0) ? signed_byte(field->detail[0], place)
                                                       : signed_two_bytes(field->detail[level], place);
@@ -289,9 +290,10 @@ static void fill(const keepout_spline *field, keepout_cell *cell)
     int32_t k;
     const int32_t coarsest = field->levels - 1;
     for (axis = 0; axis < 3; axis++) {
-        start[cell->level][axis] = cell->start[axis];
-        for (at = cell->level + 1; at <= coarsest; at++) {
-            start[at][axis] = halved(start[at - 1][axis] - 1);
+        int32_t node = cell->start[axis];
+        for (at = 0; at <= coarsest; at++) {
+            start[at][axis] = node; /* below the cell's level nothing is asked for */
+            node = (at < cell->level) ? node : halved(node - 1);
         }
         around.lowest[axis] = block_of(start[coarsest][axis]);
     }
@@ -333,7 +335,7 @@ static double cell_of(const keepout_spline *field, const double point[3], keepou
         block[axis] = keepout_to_index((u[axis] / size) / (double)EDGE, 0, field->shape[axis] - 1);
     }
     number = coarsest_block(field, block);
-    while (deeper && (level > 0)) {
+    for (at = level - 1; deeper && (at >= 0); at--) {
         const double half = 0.5 * size;
         int32_t below[3];
         uint32_t found;
@@ -342,11 +344,11 @@ static double cell_of(const keepout_spline *field, const double point[3], keepou
             const int32_t first = 2 * block[axis];
             below[axis] = keepout_to_index((u[axis] / half) / (double)EDGE, first, first + 1);
         }
-        found = child_of(field, level - 1, number, below);
+        found = child_of(field, at, number, below);
         deeper = found != KEEPOUT_NONE;
         if (deeper) {
             number = found;
-            level = level - 1;
+            level = at;
             size = half;
             for (axis = 0; axis < 3; axis++) {
                 block[axis] = below[axis];
