@@ -136,6 +136,8 @@ def main() -> None:
     parser.add_argument("--missions", type=int, default=0, help="how many; three quick ones if left out")
     parser.add_argument("--loops", action="store_true", help="closed loops too")
     parser.add_argument("--fuzz", type=int, default=50_000, help="fuzzed steps")
+    parser.add_argument("--fuzzed", type=int, default=3, help="missions that are fuzzed")
+    parser.add_argument("--eva", type=int, default=1, help="missions that Frama-C Eva goes through")
     parser.add_argument("--kept", type=Path, help="folder of the missions' flight code")
     parser.add_argument("--out", type=Path, help="JSON file of results, into which the parts are put")
     options = parser.parse_args()

@@ -2,6 +2,7 @@
  *
  * The steps are those of Python, which the code has answered alike (flight_code_stored.py). Then the image is damaged in
  * every way that keepout_open tells apart. */
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -89,6 +90,88 @@ static int answers_otherwise(const keepout_mission *mission, stored_step *step)
         wrong = wrong || guard_differs(mission, &step->before.guard, &step->after.guard);
     }
     return wrong;
+}
+
+/* Functions of keepout_math.c over their whole range, against the library's. */
+static int functions_otherwise(void)
+{
+    static const double at[] = {0.0,    1e-320, 1e-310, 1e-9,  0.1,   0.29, 0.36, 0.5,   0.999, 1.0,      1.5,  2.0,
+                                3.3,    10.0,   21.9,   22.5,  123.4, 700., 709.7, 711.0, 1e5,   1.234e7, 1e150, 1e308,
+                                HUGE_VAL};
+    int wrong = 0;
+    size_t i;
+    size_t j;
+    for (i = 0u; i < (2u * (sizeof at / sizeof at[0])); i++) {
+        const double x = ((i % 2u) == 0u) ? at[i / 2u] : -at[i / 2u];
+        wrong += far_from(keepout_exp(x), exp(x)) + far_from(keepout_expm1(x), expm1(x));
+        wrong += far_from(keepout_log(x), log(x)) + far_from(keepout_log1p(x), log1p(x));
+        wrong += far_from(keepout_tanh(x), tanh(x));
+        wrong += (fabs(x) < 1e3) ? (far_from(keepout_sin(x), sin(x)) + far_from(keepout_cos(x), cos(x))) : 0;
+        /* Beyond 1e6 it is the sine of the remainder by the double 2 pi. */
+        wrong += (fabs(x) > 1e6) ? far_from(keepout_sin(x), sin(fmod(x, 2.0 * KEEPOUT_PI))) : 0;
+        wrong += (x >= 0.0) ? far_from(keepout_cbrt(x), cbrt(x)) : 0;
+        wrong += (fabs(x) <= 1.0) ? far_from(keepout_acos(x), acos(x)) : 0;
+        for (j = 0u; j < (sizeof at / sizeof at[0]); j++) {
+            if (((x != 0.0) || (at[j] != 0.0)) && (isfinite(x) || isfinite(at[j]))) {
+                wrong += far_from(keepout_atan2(x, at[j]), atan2(x, at[j]))
+                         + (((x != 0.0) && (at[j] != 0.0)) ? far_from(keepout_atan2(x, -at[j]), atan2(x, -at[j])) : 0);
+            }
+        }
+    }
+    wrong += !keepout_is_nan(keepout_exp(NAN)) + !keepout_is_nan(keepout_log(NAN)) + !keepout_is_nan(keepout_tanh(NAN));
+    wrong += !keepout_is_nan(keepout_atan2(NAN, 1.0)) + !keepout_is_nan(keepout_atan2(1.0, NAN));
+    wrong += (keepout_atan2(0.0, 0.0) != 0.0);
+    wrong += !keepout_is_nan(keepout_maximum(NAN, 1.0)) + !keepout_is_nan(keepout_maximum(1.0, NAN));
+    wrong += !keepout_is_nan(keepout_minimum(NAN, 1.0)) + !keepout_is_nan(keepout_minimum(1.0, NAN));
+    wrong += (keepout_to_index(NAN, 2, 5) != 2) + (keepout_to_index(1e300, 2, 5) != 5) + (keepout_to_index(-1e300, 2, 5) != 2);
+    wrong += (keepout_to_index(3.9, 2, 5) != 3) + (keepout_to_index(5.0, 2, 5) != 5) + (keepout_to_index(1.0, 2, 5) != 2);
+    return wrong;
+}
+
+/* A network of one layer whose width is no multiple of the sums that go on side by side, against plain loops. */
+static int network_otherwise(void)
+{
+    enum { MOST = 11 };
+    static float weights[MOST][3];
+    static float biases[MOST];
+    static float last[MOST];
+    keepout_network made;
+    const int32_t width = (KEEPOUT_WIDTH < MOST) ? KEEPOUT_WIDTH : MOST;
+    const double point[3] = {0.2, -0.3, 0.4};
+    double gradient[3];
+    double told[3] = {0.0, 0.0, 0.0};
+    double value = 0.25;
+    int32_t i;
+    int32_t j;
+    memset(&made, 0, sizeof made);
+    for (i = 0; i < width; i++) {
+        double z;
+        biases[i] = (float)(0.1 * i) - 0.4f;
+        last[i] = 1.0f / (float)(i + 2);
+        for (j = 0; j < 3; j++) {
+            weights[i][j] = (float)(((7 * i) + (5 * j)) % 9) / 8.0f - 0.5f;
+        }
+        z = biases[i];
+        for (j = 0; j < 3; j++) {
+            z = z + ((double)weights[i][j] * (point[j] / 2.0));
+        }
+        value = value + ((double)last[i] * (log1p(exp(3.0 * z)) / 3.0));
+        for (j = 0; j < 3; j++) {
+            told[j] = told[j] + ((double)last[i] * (double)weights[i][j] / (1.0 + exp(-3.0 * z)));
+        }
+    }
+    made.layers = 1;
+    made.width[0] = width;
+    made.weights[0] = &weights[0][0];
+    made.biases[0] = biases;
+    made.last_weights = last;
+    made.last_bias = 0.25f;
+    made.beta = 3.0;
+    made.scale = 2.0;
+    made.continuation.target_radius = 5.0;
+    made.continuation.domain_radius = 8.0;
+    made.continuation.outer_radius = 10.0;
+    return far_from(keepout_network_value_and_gradient(&made, point, gradient), 2.0 * value) || FAR(gradient, told);
 }
 
 static uint32_t checksum_of(const uint8_t *bytes, size_t size)
@@ -204,7 +287,7 @@ int main(int count, char **words)
         wrong += answers_otherwise(&mission, &step);
     }
     i = stored / sizeof(stored_step);
-    wrong += images_taken_otherwise(image, size);
+    wrong += images_taken_otherwise(image, size) + functions_otherwise() + network_otherwise();
     (void)printf("%zu steps, %ld answers that are not as stored\n", i, wrong);
     free(image);
     free(steps);
