@@ -194,7 +194,10 @@ def coverage(options: argparse.Namespace, folders: list[Path]) -> Rows:
             for program in ("replay", "fuzz"):
                 built(folder, program, [str(HARNESS / f"{program}.c"), *objects], ["--coverage", "-w"])
             built(folder, "selftest", ["selftest.c", *objects], ["--coverage", "-w"])
-            for words in (["./replay", "tables.bin", stored.NAME], ["./fuzz", "tables.bin", "20000", "7"]):
+            for words in (
+                ["./replay", "tables.bin", stored.NAME, stored.FIELDS],
+                ["./fuzz", "tables.bin", "20000", "7"],
+            ):
                 if (done := run(words, folder)).returncode:
                     raise SystemExit(f"{folder.name}: {done.stdout[-200:]}{done.stderr[-200:]}")
             run(["./selftest", "tables.bin"], folder)
@@ -231,7 +234,7 @@ def coverage(options: argparse.Namespace, folders: list[Path]) -> Rows:
 def fuzz(options: argparse.Namespace, folders: list[Path]) -> Rows:
     """Step on numbers of any kind under sanitizers; most of them by a mission whose law needs no network."""
     quick = [folder for folder in folders if "spline" in folder.name] or folders[:1]
-    shares = {folder: options.fuzz // 50 for folder in folders[: options.fuzzed]}
+    shares = {folder: options.fuzz // 100 for folder in folders[: options.fuzzed]}
     shares[quick[0]] = options.fuzz - sum(count for folder, count in shares.items() if folder != quick[0])
     flags = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-w"]
     words = []
@@ -258,7 +261,7 @@ def budget(options: argparse.Namespace, folders: list[Path]) -> Rows:
         built(folder, "fly_mission", ["fly_mission.c", *files], ["-O2", "-g"])
         built(folder, "replay", [str(HARNESS / "replay.c"), *files], ["-O2", "-g"])
         flown = _counted(folder, ["./fly_mission", "tables.bin", "600"])
-        hard = _counted(folder, ["./replay", "tables.bin", stored.NAME])
+        hard = _counted(folder, ["./replay", "tables.bin", stored.NAME, stored.FIELDS])
         mean = sum(flown) / len(flown)
         reached = f"a flight of {len(flown)} steps: mean {mean / 1e3:.0f} k, worst {max(flown) / 1e3:.0f} k, "
         reached += f"{max(flown) / mean:.2f} times; {len(hard)} random steps: worst {max(hard) / 1e3:.0f} k, "
@@ -284,7 +287,8 @@ def budget(options: argparse.Namespace, folders: list[Path]) -> Rows:
     sizes = sum(int(line.split()[0]) for line in text.splitlines()[1:])
     stack = _deepest(folder)
     (folder / "b-sizes.c").write_text(
-        '#include <stdio.h>\n#include "keepout.h"\nint main(void) { printf("%zu", sizeof(keepout_memory)); return 0; }\n'
+        '#include <stdio.h>\n#include "keepout.h"\n'
+        'int main(void) { printf("%zu", sizeof(keepout_memory)); return 0; }\n'
     )
     built(folder, "b-sizes", ["b-sizes.c"], [])
     memory = int(run(["./b-sizes"], folder).stdout)

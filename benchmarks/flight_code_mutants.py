@@ -232,6 +232,8 @@ MUTANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
 }
 EQUIVALENT = {
+    "Kepler's correction": "the second of the two corrections makes up for what the first one lacks",
+    "brick from node 0 on": "the window then begins at node 8 of the brick before, which is the same one",
     "Kepler's first guess": "two corrections of fourth order bring any guess nearby to the last digits",
 }
 """Mutants that answer the same to rounding; not counted."""
@@ -248,7 +250,7 @@ def table(options: argparse.Namespace, folders: list[Path]) -> list[dict[str, An
             files = checks.refreshed(folder)
             work = Path(room) / folder.name
             work.mkdir()
-            for path in [*folder.glob("*.[ch]"), folder / "tables.bin", folder / stored.NAME]:
+            for path in [*folder.glob("*.[ch]"), folder / "tables.bin", folder / stored.NAME, folder / stored.FIELDS]:
                 shutil.copy(path, work)
             shutil.copy(checks.HARNESS / "replay.c", work)
             for name in [*files, "replay.c"]:
@@ -291,4 +293,4 @@ def _compile(work: Path, name: str) -> None:
 def _notices(work: Path, files: list[str]) -> bool:
     objects = [name[:-2] + ".o" for name in [*files, "replay.c"]]
     checks.run(["gcc", "-o", "replay", *objects, "-lm"], work)
-    return checks.run(["./replay", "tables.bin", stored.NAME], work, limit=120.0).returncode != 0
+    return checks.run(["./replay", "tables.bin", stored.NAME, stored.FIELDS], work, limit=120.0).returncode != 0

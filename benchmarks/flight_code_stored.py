@@ -13,7 +13,8 @@ from keepout.apps.flight_code.missions import Coded
 from keepout.core.flight import loop
 
 STEP, OF_GUARD, BEGINNING = 0, 1, 2
-NAME = "steps.bin"
+NAME, FIELDS = "steps.bin", "fields.bin"
+PLACES = 2000
 
 
 def stored_type(made: Coded) -> np.dtype:
@@ -64,9 +65,22 @@ def of_beginnings(made: Coded, states: Any) -> np.ndarray:
     return records
 
 
+def of_fields(made: Coded) -> np.ndarray:
+    """Give places near and far, the values of both fields there (m), and the law's gradient: eight numbers each."""
+    rng, guard = np.random.default_rng(7), made.mission.guard
+    places = rng.normal(size=(PLACES, 3))
+    places *= 40.0 * rng.random((PLACES, 1)) ** 2 / np.linalg.norm(places, axis=1)[:, None]
+    places[:20] *= 10.0 ** rng.uniform(0, 200, (20, 1))
+    field = made.law.velocity.field
+    law, gradient = jax.jit(lambda told: field.value_and_gradient(told))(places)
+    values = np.zeros(PLACES) if guard is None else jax.jit(lambda told: guard.field.value(told))(places)
+    return np.column_stack([places, values, law, gradient])
+
+
 def write(flown: Exported, records: list[np.ndarray]) -> int:
-    """Write records beside the mission's sources; how many there are."""
+    """Write records beside the mission's sources, and values of the fields; how many records there are."""
     whole = np.concatenate(records)
+    (flown.folder / FIELDS).write_bytes(of_fields(flown.made).tobytes())
     (flown.folder / NAME).write_bytes(whole.tobytes())
     return len(whole)
 

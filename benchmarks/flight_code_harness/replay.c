@@ -1,4 +1,5 @@
-/* Stored steps again: `replay tables.bin steps.bin`, and how many answers are not as stored.
+/* Stored steps again: `replay tables.bin steps.bin fields.bin`, the last if it is there; and how many answers
+ * are not as stored.
  *
  * The steps are those of Python, which the code has answered alike (flight_code_stored.py). Then the image is damaged in
  * every way that keepout_open tells apart. */
@@ -11,6 +12,7 @@
 #include "mission_tables.h"
 
 #define CLOSE 1e-9
+#define OWN 2e-14 /* of the functions of keepout_math.c */
 
 typedef struct {
     int32_t of_guard; /* 1: a state of the guard alone, 0: a whole step, 2: a beginning with forces under way */
@@ -26,11 +28,21 @@ typedef struct {
     keepout_memory after;
 } stored_step;
 
-static int far_from(double a, double b)
+static int further(double a, double b, double close)
 {
     const double apart = (a < b) ? (b - a) : (a - b);
     const double size = (a < 0.0) ? -a : a;
-    return !((a == b) || ((a != a) && (b != b)) || (apart <= (CLOSE * (1.0 + size))));
+    return !((a == b) || ((a != a) && (b != b)) || (apart <= (close * (1.0 + size))));
+}
+
+static int far_from(double a, double b)
+{
+    return further(a, b, CLOSE);
+}
+
+static int off(double a, double b)
+{
+    return further(a, b, OWN);
 }
 
 static int any_far(const double *a, const double *b, size_t count)
@@ -95,7 +107,7 @@ static int answers_otherwise(const keepout_mission *mission, stored_step *step)
 /* Functions of keepout_math.c over their whole range, against the library's. */
 static int functions_otherwise(void)
 {
-    static const double at[] = {0.0,    1e-320, 1e-310, 1e-9,  0.1,   0.29, 0.36, 0.5,   0.999, 1.0,      1.5,  2.0,
+    static const double at[] = {0.0,    1e-320, 1e-310, 1e-9,  0.1,   0.29, 0.36, 0.5,   0.999, 1.0,      1.5,  1.89, 2.0,
                                 3.3,    10.0,   21.9,   22.5,  123.4, 700., 709.7, 711.0, 1e5,   1.234e7, 1e150, 1e308,
                                 HUGE_VAL};
     int wrong = 0;
@@ -103,18 +115,18 @@ static int functions_otherwise(void)
     size_t j;
     for (i = 0u; i < (2u * (sizeof at / sizeof at[0])); i++) {
         const double x = ((i % 2u) == 0u) ? at[i / 2u] : -at[i / 2u];
-        wrong += far_from(keepout_exp(x), exp(x)) + far_from(keepout_expm1(x), expm1(x));
-        wrong += far_from(keepout_log(x), log(x)) + far_from(keepout_log1p(x), log1p(x));
-        wrong += far_from(keepout_tanh(x), tanh(x));
-        wrong += (fabs(x) < 1e3) ? (far_from(keepout_sin(x), sin(x)) + far_from(keepout_cos(x), cos(x))) : 0;
+        wrong += off(keepout_exp(x), exp(x)) + off(keepout_expm1(x), expm1(x));
+        wrong += off(keepout_log(x), log(x)) + off(keepout_log1p(x), log1p(x));
+        wrong += off(keepout_tanh(x), tanh(x));
+        wrong += (fabs(x) < 1e3) ? (off(keepout_sin(x), sin(x)) + off(keepout_cos(x), cos(x))) : 0;
         /* Beyond 1e6 it is the sine of the remainder by the double 2 pi. */
-        wrong += (fabs(x) > 1e6) ? far_from(keepout_sin(x), sin(fmod(x, 2.0 * KEEPOUT_PI))) : 0;
-        wrong += (x >= 0.0) ? far_from(keepout_cbrt(x), cbrt(x)) : 0;
-        wrong += (fabs(x) <= 1.0) ? far_from(keepout_acos(x), acos(x)) : 0;
+        wrong += (fabs(x) > 1e6) ? off(keepout_sin(x), sin(fmod(x, 2.0 * KEEPOUT_PI))) : 0;
+        wrong += (x >= 0.0) ? off(keepout_cbrt(x), cbrt(x)) : 0;
+        wrong += (fabs(x) <= 1.0) ? off(keepout_acos(x), acos(x)) : 0;
         for (j = 0u; j < (sizeof at / sizeof at[0]); j++) {
             if (((x != 0.0) || (at[j] != 0.0)) && (isfinite(x) || isfinite(at[j]))) {
-                wrong += far_from(keepout_atan2(x, at[j]), atan2(x, at[j]))
-                         + (((x != 0.0) && (at[j] != 0.0)) ? far_from(keepout_atan2(x, -at[j]), atan2(x, -at[j])) : 0);
+                wrong += off(keepout_atan2(x, at[j]), atan2(x, at[j]))
+                         + (((x != 0.0) && (at[j] != 0.0)) ? off(keepout_atan2(x, -at[j]), atan2(x, -at[j])) : 0);
             }
         }
     }
@@ -196,6 +208,25 @@ static void put(uint8_t *at, uint32_t number)
     }
 }
 
+/* Values of the fields, and the gradient of the law's: eight numbers a place. */
+static int fields_otherwise(const keepout_mission *mission, const double *told)
+{
+    double gradient[3];
+    keepout_cell cell;
+    int wrong = 0;
+    double law;
+    cell.known = false;
+    if (mission->guard->present) {
+        wrong = far_from(keepout_spline_value(mission->guard_spline, told, &cell), told[3]);
+    }
+    if (mission->law->field == KEEPOUT_NETWORK) {
+        law = keepout_network_value_and_gradient(mission->network, told, gradient);
+    } else {
+        law = keepout_spline_value_and_gradient(mission->law_spline, told, gradient);
+    }
+    return wrong || far_from(law, told[4]) || any_far(gradient, &told[5], 3u);
+}
+
 /* Images that must be refused, and as what. */
 static int images_taken_otherwise(uint8_t *image, size_t size)
 {
@@ -229,6 +260,21 @@ static int images_taken_otherwise(uint8_t *image, size_t size)
                      != KEEPOUT_IMAGE_WRONG;
             memcpy(&image[i], before, 4u);
             put(&image[20], checksum_of(&image[24], size - 24u));
+        }
+    }
+    { /* one part more, of no bytes, under a checksum that holds */
+        uint8_t *longer = malloc(size + 4u);
+        if (longer != NULL) {
+            const uint32_t parts = image[24];
+            memcpy(longer, image, 28u + (4u * parts));
+            put(&longer[28u + (4u * parts)], 0u);
+            memcpy(&longer[32u + (4u * parts)], &image[28u + (4u * parts)], size - (28u + (4u * parts)));
+            put(&longer[24], parts + 1u);
+            put(&longer[16], (uint32_t)(size - 20u));
+            put(&longer[20], checksum_of(&longer[24], size - 20u));
+            wrong += keepout_open(longer, size + 4u, &keepout_mission_layout, checksum_of(&longer[24], size - 20u), &tables)
+                     != KEEPOUT_IMAGE_WRONG;
+            free(longer);
         }
     }
     for (i = 0u; i <= 4u; i = i + 4u) { /* too short for the number of parts, or for one */
@@ -270,8 +316,10 @@ int main(int count, char **words)
     size_t stored = 0u;
     size_t i;
     long wrong = 0;
-    uint8_t *image = (count == 3) ? read_file(words[1], &size) : NULL;
-    uint8_t *steps = (count == 3) ? read_file(words[2], &stored) : NULL;
+    size_t place = 0u;
+    uint8_t *image = (count >= 3) ? read_file(words[1], &size) : NULL;
+    uint8_t *steps = (count >= 3) ? read_file(words[2], &stored) : NULL;
+    uint8_t *places = (count == 4) ? read_file(words[3], &place) : NULL;
     if ((image == NULL) || (steps == NULL) || ((stored % sizeof(stored_step)) != 0u)) {
         (void)fprintf(stderr, "replay: give tables.bin and steps.bin, of records of %zu bytes\n", sizeof(stored_step));
         return 2;
@@ -286,10 +334,16 @@ int main(int count, char **words)
         memcpy(&step, &steps[i * sizeof step], sizeof step);
         wrong += answers_otherwise(&mission, &step);
     }
+    for (i = 0u; (places != NULL) && (i < (place / 64u)); i++) {
+        double told[8];
+        memcpy(told, &places[64u * i], sizeof told);
+        wrong += fields_otherwise(&mission, told);
+    }
     i = stored / sizeof(stored_step);
     wrong += images_taken_otherwise(image, size) + functions_otherwise() + network_otherwise();
     (void)printf("%zu steps, %ld answers that are not as stored\n", i, wrong);
     free(image);
     free(steps);
+    free(places);
     return (wrong == 0) ? 0 : 1;
 }
