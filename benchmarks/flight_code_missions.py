@@ -31,13 +31,13 @@ MISSIONS: dict[str, dict[str, Any]] = {
         "orbit": {"eccentricity": 0.1, "semi_major_axis": 9e6},
         "chaser": {"mass": 60.0, "force_limit": 1.0},
     },
+    "straight guidance": {"control": {"guidance": "straight"}},
     "constant observer, longest delay": {
         "control": {"observer": "constant"},
         "guard": {"delay": 8},
         "chaser": {"mass": 20.0, "force_limit": 1.0},
     },
     "no observer": {"control": {"observer": "off"}},
-    "straight guidance": {"control": {"guidance": "straight"}},
     "held inertially, 2 s": {"thrusters": {"held_in": "inertial"}, "control": {"period": 2.0}},
     "unguarded": {"guard": {"enabled": False}},
 }

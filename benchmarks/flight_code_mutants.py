@@ -251,7 +251,8 @@ def table(options: argparse.Namespace, folders: list[Path]) -> list[dict[str, An
             work = Path(room) / folder.name
             work.mkdir()
             for path in [*folder.glob("*.[ch]"), folder / "tables.bin", folder / stored.NAME, folder / stored.FIELDS]:
-                shutil.copy(path, work)
+                if path.is_file():
+                    shutil.copy(path, work)
             shutil.copy(checks.HARNESS / "replay.c", work)
             for name in [*files, "replay.c"]:
                 _compile(work, name)
