@@ -46,9 +46,9 @@ DEVIATIONS = {
 }
 """Reasons for the MISRA C:2012 rules from which the sources deviate; one that is missing is reported as such."""
 UNREACHED = {
-    "keepout_guard.c": "second bounds of loops beside the mission's own; the longest window is never 0; an estimate that is "
-    "no number and yet explained; numbers of a mission that expires",
-    "keepout_law.c": "a field without a gradient, or values that are no numbers of a finite place, which no field gives; "
+    "keepout_guard.c": "second bounds of loops beside the mission's own; windows of no length; an estimate that is no "
+    "number and yet a jump; a mission whose numbers expire",
+    "keepout_law.c": "a field without a gradient, or numbers that are none at a finite place, which no field gives; "
     "second bounds of loops",
     "keepout_math.c": "second bounds of loops beside the mission's own delay",
     "keepout_motion.c": "second bounds of loops beside the mission's own substeps",
