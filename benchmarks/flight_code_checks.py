@@ -124,8 +124,10 @@ def eva(options: argparse.Namespace, folders: list[Path]) -> Rows:
     # Missions that between them have most of the code come first.
     first = [folder for part in ("strong", "gravity") for folder in folders if part in folder.name]
     for folder in [*first, *[folder for folder in folders if folder not in first]][: options.eva]:
-        files = refreshed(folder)
-        command = ["frama-c", "-eva", "-machdep", "gcc_x86_64", "-cpp-extra-args=-I.", "-c11", "-eva-precision", "2"]
+        # By whole paths: it takes others from where its caller is.
+        files = [str((folder / name).resolve()) for name in refreshed(folder)]
+        include = f"-cpp-extra-args=-I{folder.resolve()}"
+        command = ["frama-c", "-eva", "-machdep", "gcc_x86_64", include, "-c11", "-eva-precision", "2"]
         command += ["-eva-auto-loop-unroll", "128", "-eva-split-return", "auto", "-warn-special-float", "none"]
         said = run([*command, str(HARNESS / "eva.c"), *files], folder).stdout
         (folder / "eva.txt").write_text(said, encoding="utf-8")
