@@ -52,7 +52,6 @@ UNREACHED = {
     "keepout_math.c": "second bounds of loops beside the mission's own delay",
     "keepout_motion.c": "second bounds of loops beside the mission's own substeps",
     "keepout_spline.c": "nodes outside the tables, of which the packing leaves none within the domain",
-    "keepout_step.c": "a mission without a guard, where none was among them",
     "keepout_tables.c": "lengths beyond the image after a checksum that holds; a mission without a way to the goal",
 }
 """Why branches of a file are left, file by file."""

@@ -186,6 +186,45 @@ static int network_otherwise(void)
     return far_from(keepout_network_value_and_gradient(&made, point, gradient), 2.0 * value) || FAR(gradient, told);
 }
 
+/* A law whose field has no gradient, or no value, and no guard: no way out below 0, and no number. */
+static int flat_field_otherwise(const keepout_mission *mission)
+{
+    static const float none[3] = {0.0f, 0.0f, 0.0f};
+    static const keepout_estimate told = {0.0, {1.0, 2.0, 3.0}, {0.01, 0.0, 0.0}, {1.0, 0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
+    keepout_network flat;
+    keepout_mission alone = *mission;
+    keepout_law law = *mission->law;
+    keepout_guard guard = *mission->guard;
+    keepout_memory memory;
+    keepout_order order;
+    int wrong = 0;
+    memset(&flat, 0, sizeof flat);
+    memset(&memory, 0, sizeof memory);
+    flat.layers = 1;
+    flat.width[0] = 1;
+    flat.weights[0] = none;
+    flat.biases[0] = none;
+    flat.last_weights = none;
+    flat.beta = 1.0;
+    flat.scale = 1.0;
+    flat.continuation.target_radius = 5.0;
+    flat.continuation.domain_radius = 8.0;
+    flat.continuation.outer_radius = 10.0;
+    law.field = KEEPOUT_NETWORK;
+    guard.present = false;
+    alone.network = &flat;
+    alone.law = &law;
+    alone.guard = &guard;
+    flat.last_bias = -1.0e4f;
+    keepout_begin(&alone, &memory, &told, NULL);
+    keepout_step(&alone, &memory, &told, &order);
+    wrong += (order.control_status != KEEPOUT_LAW_NO_WAY_OUT) + (order.guard_status != 0);
+    flat.last_bias = (float)NAN;
+    keepout_step(&alone, &memory, &told, &order);
+    wrong += (order.control_status != KEEPOUT_LAW_NOT_FINITE) + (order.force[0] != 0.0);
+    return wrong;
+}
+
 static uint32_t checksum_of(const uint8_t *bytes, size_t size)
 {
     uint32_t sum = 0xFFFFFFFFu;
@@ -340,7 +379,8 @@ int main(int count, char **words)
         wrong += fields_otherwise(&mission, told);
     }
     i = stored / sizeof(stored_step);
-    wrong += images_taken_otherwise(image, size) + functions_otherwise() + network_otherwise();
+    wrong += images_taken_otherwise(image, size) + functions_otherwise() + network_otherwise()
+             + flat_field_otherwise(&mission);
     (void)printf("%zu steps, %ld answers that are not as stored\n", i, wrong);
     free(image);
     free(steps);
