@@ -51,11 +51,13 @@ def answers(options: argparse.Namespace) -> Rows:
     steps, differ, beyond = (
         sum(row[key] for row in missions) for key in ("steps", "statuses that differ", "steps beyond 1e-11")
     )
-    force, memory, share = (max(row[key] for row in missions) for key in ("force", "memory", "of what last bits do"))
+    force, memory, share = (max(row[key] for row in missions) for key in ("force", "memory", "times a last bit"))
     many = f"{len(names)} missions"
     reached = f"{steps:,} over {many}: {differ} statuses differ; force {force:.1e}, memory {memory:.1e}"
     if beyond:
-        reached += f"; {beyond} steps are beyond 1e-11, by at most {share:.2g} of what last bits of their inputs do"
+        reached += (
+            f"; {beyond} steps are beyond 1e-11, by at most {share:.2g} times what a last bit of their inputs does"
+        )
     rows = [_row("random steps, memory synced", "10⁶, 12 missions: statuses equal, ≤ 1e-11", reached)]
     guarded = [row for row in missions if "guard states" in row]
     states, close, far = (sum(row[key] for row in guarded) for key in ("guard states", "differ on it", "differ off it"))
@@ -79,7 +81,7 @@ def _compared(name: str, options: argparse.Namespace) -> dict[str, Any]:
     records.append(stored.of_beginnings(flown.made, random.kept[0].estimate))
     row: dict[str, Any] = {"mission": name, "steps": random.steps, "statuses that differ": random.differ}
     row |= {"force": random.force, "memory": random.memory, "most in": random.worst}
-    row |= {"steps beyond 1e-11": random.beyond, "of what last bits do": random.share}
+    row |= {"steps beyond 1e-11": random.beyond, "times a last bit": random.share}
     if flown.made.mission.guard is not None:
         pieces = Directed(flown, random.kept, max(96, options.directed // 100))
         found = pieces.compare(options.directed)

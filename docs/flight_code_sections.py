@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from result_tables import kept_file, measured, table
+from result_tables import kept_file, measured, note, table
 
 ROWS = {"evidence": "evidence", "asked": "asked", "reached": "reached"}
 WHENCE = {"part": "part", "machine": "machine", "date": "date", "commit": "commit"}
@@ -14,7 +14,7 @@ MISSIONS = {
     "memory": "memory",
     "most in": "most in",
     "steps beyond 1e-11": "steps beyond 1e-11",
-    "of what last bits do": "of what last bits do",
+    "times a last bit": "times what a last bit of the inputs does",
     "guard states": "guard states",
     "guard force": "their force",
     "guard memory": "their memory",
@@ -31,6 +31,8 @@ def flight_code() -> list[str]:
         "their unit in random steps, and over their size and 1 of their unit in states of the guard.",
     ]
     lines = measured("Flight code in C", words, rows, ROWS)
+    lines += note("flight_code")
+    lines += [""]
     lines += table([{"part": name, **part} for name, part in kept.items()], WHENCE)
     missions = _listed(kept, "missions")
     if missions:
