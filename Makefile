@@ -31,7 +31,7 @@ help:
 	@echo "make docs      build the documentation site into out/site"
 	@echo "make shipped   remake the learned fields that ship with the package"
 	@echo "make replay-bundle  bundle the replay's viewer into the package again (needs Node.js and npm)"
-	@echo "make flight-code  compare the exported C with Python, and one compiler's bits with another's"
+	@echo "make flight-code  compare the exported C with Python, break it, and go through it by tools"
 	@echo "make basilisk  fly law and guard as flight software in Basilisk, in an environment of its own"
 	@echo "make release-check  build wheel and sdist, check them, and run the first tutorial from the wheel alone"
 	@echo "make clean     remove the environment and all outputs"

@@ -162,6 +162,30 @@ class CompiledStep:
         )
         return order
 
+    def guard(
+        self, memory: np.ndarray, estimate: np.ndarray, force: np.ndarray, disturbance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Run the guard alone on commanded forces (n, 3), N: what it gives, and its statuses."""
+        filtered, status = np.zeros((len(estimate), 3)), np.zeros(len(estimate), np.int32)
+        given = [np.ascontiguousarray(array) for array in (estimate, force, disturbance)]
+        self._library.harness_guard(
+            len(estimate), self._at(memory), *map(self._at, given), self._at(filtered), self._at(status)
+        )
+        return filtered, status
+
+    def fields(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Give the values of the guard's field and of the law's at points (n, 3), m."""
+        guard, law = np.zeros(len(points)), np.zeros(len(points))
+        place = self._at(np.ascontiguousarray(points, np.float64))
+        self._library.harness_fields(len(points), place, self._at(guard), self._at(law))
+        return guard, law
+
+    def function(self, name: str, x: np.ndarray) -> np.ndarray:
+        """Give a function of keepout_math.c, "exp" for instance, of each number."""
+        function = getattr(self._library, f"keepout_{name}")
+        function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
+        return np.array([function(number) for number in x])
+
     def fly(self, estimate: np.ndarray, push: np.ndarray, steps: int) -> np.ndarray:
         """Fly closed loops under a constant force (N) from each state; the states at the end."""
         end = np.ascontiguousarray(estimate)

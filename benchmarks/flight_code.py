@@ -1,179 +1,170 @@
-"""Compare the exported C with Python, step by step and in closed loops, and one compiler's bits with another's.
+"""The evidence for the exported C: what was asked, what was reached, each part by itself.
 
-python benchmarks/flight_code.py                  # the missions below, 10 000 steps each
-python benchmarks/flight_code.py --steps 100000   # more of them
+python benchmarks/flight_code.py                              # every part, a few minutes a mission
+python benchmarks/flight_code.py answers --steps 72000 --directed 72000 --missions 14 --kept out/flight-code
+python benchmarks/flight_code.py fuzz --fuzz 10000000 --kept out/flight-code --out benchmarks/results/flight_code.json
 
-Each step starts from Python's memory, put into the C code's, so that differences do not add up; estimates are wrong,
-jump, are no numbers or are far away. Closed loops are each on its own. A compiler that is not there is skipped, with
-a word.
+`answers` compares with Python (`flight_code_states`, `flight_code_directed`) and leaves the folders of the missions in
+`--kept`, with stored steps; the other parts take them from there. A tool that is not there is named, its part skipped.
+With `--out` what each part has reached is put into a file, from which docs/results.md is written.
 """
 
 import argparse
-import dataclasses
-import shutil
+import collections
+import datetime
+import json
+import platform
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-from compiled_step import CompiledStep, estimates_of, memories_of
+import flight_code_checks as checks
+import flight_code_mutants as mutants
+import flight_code_stored as stored
+from flight_code_directed import Directed
+from flight_code_missions import MISSIONS, exported, folder_of
+from flight_code_states import CLOSED, FLIGHTS, Flights, closed_loops, compared
 
-from keepout.apps.flight_code.folder import write_flight_code
-from keepout.apps.flight_code.missions import Coded, coded
-from keepout.core.flight import loop
-from keepout.core.mission.build import prepare
-from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.disturbance import NoDisturbance
+QUICK = ("errors of the estimate", "strong, errors and delay", "law by the spline")
+"""The missions of a run that names no number of them."""
 
-TURNING = {"kind": "tumbling", "angular_velocity": (0.001, 0.002, 0.0005)}
-MISSIONS: dict[str, dict[str, Any]] = {
-    "as it is": {},
-    "delay": {"guard": {"delay": 2}},
-    "errors of the estimate": {"guard": {"position_error": 0.05, "velocity_error": 0.002}},
-    "both, inertially fixed": {
-        "guard": {"delay": 1, "position_error": 0.03, "velocity_error": 0.001},
-        "attitude": {"kind": "inertial"},
-    },
-    "tumbling": {"attitude": {**TURNING, "inertia": ((2.0, 0, 0), (0, 3.0, 0), (0, 0, 4.0))}},
-    "elliptic": {"orbit": {"eccentricity": 0.3, "semi_major_axis": 2.4e7, "true_anomaly": 0.4}},
-    "law by the spline": {"field": {"source": "grid"}},
-}
-FLIGHTS = 64
-LOOPS, SECONDS = 20, 3000
-BUILDS = [
-    *[(compiler, f"-O{level}", "") for compiler in ("gcc", "clang") for level in range(4)],
-    *[
-        (f"{name}-linux-gnu-gcc", "-O2 -static", runner)
-        for name, runner in (
-            ("aarch64", "qemu-aarch64"),
-            ("riscv64", "qemu-riscv64"),
-            ("sparc64", "qemu-sparc64"),
-            ("powerpc", "qemu-ppc"),
+ROW = "compared.json"
+"""In a mission's folder: what the comparison with Python has shown."""
+Rows = list[dict[str, Any]]
+
+
+def answers(options: argparse.Namespace) -> Rows:
+    """Compare with Python, mission by mission; a mission that is in `--kept` with its row is not compared again."""
+    names = list(MISSIONS)[: options.missions] if options.missions else list(QUICK)
+    missions = []
+    for name in names:
+        place = folder_of(name, options.kept) / ROW
+        if place.is_file():
+            row = json.loads(place.read_text(encoding="utf-8"))
+        else:
+            row = _compared(name, options)
+            place.write_text(json.dumps(row, ensure_ascii=False), encoding="utf-8")
+        missions.append(row)
+        print(json.dumps({key: value for key, value in row.items() if key not in ("listed", "crossed")}), flush=True)
+    steps, differ, beyond = (
+        sum(row[key] for row in missions) for key in ("steps", "statuses that differ", "steps beyond 1e-11")
+    )
+    force, memory, share = (max(row[key] for row in missions) for key in ("force", "memory", "times a last bit"))
+    many = f"{len(names)} missions"
+    reached = f"{steps:,} over {many}: {differ} statuses differ; force {force:.1e}, memory {memory:.1e}"
+    if beyond:
+        reached += (
+            f"; {beyond} steps are beyond 1e-11, by at most {share:.2g} times what a last bit of their inputs does"
         )
-    ],
-]
+    rows = [_row("random steps, memory synced", "10⁶, 12 missions: statuses equal, ≤ 1e-11", reached)]
+    guarded = [row for row in missions if "guard states" in row]
+    states, close, far = (sum(row[key] for row in guarded) for key in ("guard states", "differ on it", "differ off it"))
+    force, memory = (max(row[key] for row in guarded) for key in ("guard force", "guard memory"))
+    modes = sum((collections.Counter(row["modes"]) for row in guarded), collections.Counter())
+    reached = (
+        f"{states:,}, {', '.join(f'{number:,} {mode}' for mode, number in modes.most_common())}: force {force:.1e}, "
+        f"memory {memory:.1e}; statuses differ on {close} thresholds, on {far} of them further than 1e-12 away"
+    )
+    rows.append(_row("guard states on thresholds", "10⁶ in four modes: statuses equal, ≤ 1e-12", reached))
+    rows[0]["missions"] = missions
+    return rows
 
 
-def apart(a: Any, b: Any, least: float = 1e-3) -> float:
-    """Give the largest difference over the larger number plus `least`; none of equal ones, and of no numbers."""
-    a, b = np.asarray(a, float), np.asarray(b, float)
-    with np.errstate(invalid="ignore", over="ignore"):
-        far = np.abs(a - b) / (least + np.maximum(np.abs(a), np.abs(b)))
-    return float(np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, far).max())
+def _compared(name: str, options: argparse.Namespace) -> dict[str, Any]:
+    """Compare one mission with Python; leave its folder with stored steps."""
+    flown = exported(name, options.kept)
+    flights = Flights(flown.made)
+    random = compared(flown, flights, options.steps)
+    records = [stored.of_step(flown.made, row) for row in random.kept[:16]]
+    records.append(stored.of_beginnings(flown.made, random.kept[0].estimate))
+    row: dict[str, Any] = {"mission": name, "steps": random.steps, "statuses that differ": random.differ}
+    row |= {"force": random.force, "memory": random.memory, "most in": random.worst}
+    row |= {"steps beyond 1e-11": random.beyond, "times a last bit": random.share}
+    if flown.made.mission.guard is not None:
+        pieces = Directed(flown, random.kept, max(96, options.directed // 100))
+        found = pieces.compare(options.directed)
+        records += pieces.stored
+        row |= {"guard states": found.states, "differ on it": found.differ_close, "differ off it": found.differ_far}
+        row |= {"guard force": found.force, "guard memory": found.memory, "modes": dict(found.modes)}
+        row["crossed"] = {", ".join(key): number for key, number in found.crossed.most_common()}
+        row["listed"] = found.listed
+    row["stored"] = stored.write(flown, records)
+    return row
 
 
-def told(state: Any, rng: np.random.Generator) -> Any:
-    """Give wrong estimates of states."""
-    count = len(state.position)
-    position = state.position + rng.normal(0, 0.005, (count, 3)) * (rng.random((count, 1)) < 0.3)
-    position += rng.normal(0, 0.5, (count, 3)) * (rng.random((count, 1)) < 0.03)
-    position = jnp.where(rng.random((count, 1)) < 0.01, position * 10.0 ** rng.uniform(0, 300, (count, 1)), position)
-    position = jnp.where(rng.random((count, 1)) < 0.01, jnp.nan, position)
-    return dataclasses.replace(state, position=position, velocity=state.velocity + rng.normal(0, 3e-4, (count, 3)))
+def loops(options: argparse.Namespace, folders: list[Path]) -> Rows:
+    """Fly closed loops of the first missions, each code its own."""
+    ends = []
+    for name in [name for name in MISSIONS if folder_of(name, options.kept) in folders][: options.loops]:
+        flown = exported(name, options.kept)
+        ends.append(closed_loops(flown, Flights(flown.made)))
+    reached = f"{len(ends) * FLIGHTS} flights of {len(ends)} missions, {CLOSED} steps: {max(ends):.1e} m"
+    return [_row("closed loops, each its own", "20 missions, 3,000 steps: ≤ 1e-10 m", reached)]
 
 
-def scattered(made: Coded, rng: np.random.Generator) -> Any:
-    """Give states on all sides of the target."""
-    start = jax.tree.map(lambda a: jnp.broadcast_to(a, (FLIGHTS, *jnp.shape(a))), made.mission.initial)
-    places = rng.normal(size=(FLIGHTS, 3))
-    places *= rng.uniform(1.0, 14.0, (FLIGHTS, 1)) / np.linalg.norm(places, axis=1)[:, None]
-    speeds = rng.normal(0, 0.03, (FLIGHTS, 3))
-    return dataclasses.replace(start, position=jnp.asarray(places), velocity=jnp.asarray(speeds))
+def _row(evidence: str, asked: str, reached: str) -> dict[str, Any]:
+    return {"evidence": evidence, "asked": asked, "reached": reached}
 
 
-def compared(made: Coded, code: CompiledStep, steps: int) -> Iterator[tuple[int, float, float]]:
-    """Step both codes: statuses that differ, and the largest differences of force and of memory, step by step."""
-    setup, rng = made.mission.setup, np.random.default_rng(1)
-    begin = jax.jit(jax.vmap(lambda estimate: loop.memories(setup, estimate)))
-
-    @jax.jit
-    @jax.vmap
-    def step(memory: Any, estimate: Any, truth: Any) -> Any:
-        law, guard, order, force, status = loop.command(setup, *memory, estimate)
-        moved = setup.motion.step(truth, force, NoDisturbance(), setup.period, setup.mass)
-        return (law, guard), (force, order.status, status), moved
-
-    for number in range(-(-steps // FLIGHTS)):
-        if number % 150 == 0:
-            state = scattered(made, rng)
-            memory = begin(state)
-        estimate, held = told(state, rng), memories_of(made, *memory)
-        order = code.step(held, estimates_of(estimate))
-        memory, (force, law_status, status), state = step(memory, estimate, state)
-        wrong = (order["guard_status"] != np.asarray(status)) | (order["control_status"] != np.asarray(law_status))
-        after, parts = memories_of(made, *memory), ["law"] + (["guard"] if setup.guard is not None else [])
-        unused = () if setup.guard.braking.observer is not None else ("seen_position", "seen_velocity")
-        names = [(part, name) for part in parts for name in after[part].dtype.names if name not in unused]
-        memory_apart = max(apart(held[part][name], after[part][name]) for part, name in names)
-        yield int(wrong.sum()), apart(order["force"], force), memory_apart
+PARTS: dict[str, Callable[[argparse.Namespace, list[Path]], Rows]] = {
+    "answers": lambda options, _: answers(options),
+    "loops": loops,
+    "bits": checks.bits,
+    "eva": checks.eva,
+    "style": checks.style,
+    "coverage": checks.coverage,
+    "mutants": mutants.table,
+    "fuzz": checks.fuzz,
+    "budget": checks.budget,
+}
 
 
-def closed_loops(made: Coded, code: CompiledStep) -> float:
-    """Fly whole flights by both codes, each on its own: how far apart they end, m."""
-    setup, rng = made.mission.setup, np.random.default_rng(2)
-    initial = jax.tree.map(lambda a: jnp.broadcast_to(a, (LOOPS, *jnp.shape(a))), made.mission.initial)
-    moved = np.asarray(initial.position) + rng.uniform(-1.0, 1.0, (LOOPS, 3))
-    initial = dataclasses.replace(initial, position=jnp.asarray(moved))
-    pushes = rng.uniform(-0.002, 0.002, (LOOPS, 3))
-
-    @jax.jit
-    @jax.vmap
-    def fly(state: Any, push: Any) -> Any:
-        def advance(_: Any, carried: Any) -> Any:
-            state, law, guard = carried
-            law, guard, _, force, _ = loop.command(setup, law, guard, state)
-            return setup.motion.step(state, force + push, NoDisturbance(), setup.period, setup.mass), law, guard
-
-        return jax.lax.fori_loop(0, SECONDS, advance, (state, *loop.memories(setup, state)))[0]
-
-    end = fly(initial, jnp.asarray(pushes))
-    return float(np.abs(code.fly(estimates_of(initial), pushes, SECONDS)["position"] - np.asarray(end.position)).max())
-
-
-def bits(folder: Path) -> dict[str, str]:
-    """Build and run the self-test by each compiler that is there: its last words."""
-    found = {}
-    sources = [*sorted(folder.glob("keepout_*.c")), folder / "mission_tables.c", folder / "selftest.c"]
-    for compiler, flags, runner in BUILDS:
-        name = f"{compiler} {flags.split()[0]}"
-        if shutil.which(compiler) is None or (runner and shutil.which(runner) is None):
-            found[name] = "skipped: not installed"
-            continue
-        program = folder / "bits"
-        command = [compiler, "-std=c99", "-ffp-contract=off", *flags.split(), "-w", "-o", str(program)]
-        subprocess.run([*command, *map(str, sources), "-lm"], check=True)
-        run = [*([runner] if runner else []), str(program), str(folder / "tables.bin")]
-        found[name] = subprocess.run(run, capture_output=True, text=True, check=True).stdout.strip()
-    return found
+def put(path: Path, part: str, rows: Rows) -> None:
+    """Put what a part has reached into the file of results, with where and when."""
+    whole = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    commit = subprocess.run(["git", "rev-parse", "--short=8", "HEAD"], capture_output=True, text=True, check=False)
+    whole[part] = {
+        "machine": f"{platform.system()}, {platform.machine()}",
+        "date": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+        "commit": commit.stdout.strip() or "unknown",
+        "rows": rows,
+    }
+    whole = {name: whole[name] for name in PARTS if name in whole}
+    path.write_text(json.dumps(whole, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def main() -> None:
-    """Print one table a question."""
+    """Run parts and print what each has reached."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--steps", type=int, default=10_000, help="of each mission")
-    steps = parser.parse_args().steps
-    if shutil.which("gcc") is None:
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
+    parser.add_argument("--steps", type=int, default=6400, help="random ones of each mission")
+    parser.add_argument("--directed", type=int, default=10_000, help="states of each mission's guard")
+    parser.add_argument("--missions", type=int, default=0, help="how many; three quick ones if left out")
+    parser.add_argument("--loops", type=int, default=1, help="missions that are flown in closed loops")
+    parser.add_argument("--fuzz", type=int, default=50_000, help="fuzzed steps")
+    parser.add_argument("--fuzzed", type=int, default=3, help="missions that are fuzzed")
+    parser.add_argument("--eva", type=int, default=1, help="missions that Frama-C Eva goes through")
+    parser.add_argument("--kept", type=Path, help="folder of the missions' flight code")
+    parser.add_argument("--out", type=Path, help="JSON file of results, into which the parts are put")
+    options = parser.parse_args()
+    if unknown := set(options.parts) - set(PARTS):
+        parser.error(f"no part is called {', '.join(sorted(unknown))}; valid: {', '.join(PARTS)}")
+    if not checks.found("gcc"):
         raise SystemExit("skipped: gcc is not installed")
-    with tempfile.TemporaryDirectory() as kept:
-        print("| mission | steps | statuses that differ | force, over its size + 1e-3 | memory, likewise |")
-        print("| --- | --- | --- | --- | --- |")
-        for name, changes in MISSIONS.items():
-            folder, mission = Path(kept) / name.replace(" ", "-"), prepare(Scenario().replace(**changes))
-            write_flight_code(mission, folder)
-            made = coded(mission)
-            code = CompiledStep(made, folder)
-            rows = list(compared(made, code, steps))
-            wrong, force, memory = sum(row[0] for row in rows), max(r[1] for r in rows), max(r[2] for r in rows)
-            print(f"| {name} | {len(rows) * FLIGHTS} | {wrong} | {force:.1e} | {memory:.1e} |", flush=True)
-            if not changes:
-                ends = closed_loops(made, code)
-        print(f"\n{LOOPS} closed loops of {SECONDS} steps end at most {ends:.1e} m apart\n")
-        for name, answer in bits(Path(kept) / "as-it-is").items():
-            print(f"{name}: {answer}")
+    with tempfile.TemporaryDirectory() as room:
+        options.kept = options.kept or Path(room)
+        options.kept.mkdir(parents=True, exist_ok=True)
+        for part in options.parts or PARTS:
+            folders = [folder for name in MISSIONS if stored.stored_in(folder := folder_of(name, options.kept))]
+            if part != "answers" and not folders:
+                raise SystemExit(f"{part}: {options.kept} has no missions; run `answers` with this --kept first")
+            rows = PARTS[part](options, folders)
+            for row in rows:
+                print(f"| {row['evidence']} | {row['asked']} | {row['reached']} |", flush=True)
+            if options.out is not None and rows:
+                put(options.out, part, rows)
 
 
 if __name__ == "__main__":

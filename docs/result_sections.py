@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from field_sections import fits, guard_fields, motion, slopes, theorems
+from flight_code_sections import flight_code
 from inspection_sections import full_covers, inspecting, public_inspection
 from result_tables import kept_file, measured, note, table
 
@@ -617,5 +618,6 @@ SECTIONS = (
     guard_fields,
     theorems,
     motion,
+    flight_code,
 )
 """As they stand on the page."""

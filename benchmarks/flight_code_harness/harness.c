@@ -30,6 +30,30 @@ void harness_step(int count, keepout_memory *memory, const keepout_estimate *est
     }
 }
 
+void harness_guard(int count, keepout_memory *memory, const keepout_estimate *estimate, const double (*force)[3],
+                   const double (*disturbance)[3], double (*filtered)[3], int32_t *status)
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        status[i] = keepout_guard_filter(&mission, &memory[i].guard, &estimate[i], force[i], disturbance[i], filtered[i]);
+    }
+}
+
+/* Values of the guard's field and of the law's, (count) each. */
+void harness_fields(int count, const double (*point)[3], double *guard, double *law)
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        double gradient[3];
+        keepout_cell cell;
+        cell.known = false;
+        guard[i] = mission.guard->present ? keepout_spline_value(mission.guard_spline, point[i], &cell) : 0.0;
+        law[i] = (mission.law->field == KEEPOUT_NETWORK)
+                     ? keepout_network_value_and_gradient(mission.network, point[i], gradient)
+                     : keepout_spline_value(mission.law_spline, point[i], &cell);
+    }
+}
+
 void harness_fly(int count, keepout_estimate *state, const double (*push)[3], int steps)
 {
     int i;

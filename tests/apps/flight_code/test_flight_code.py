@@ -14,16 +14,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths import long_fields
 from truths.command_line import keepout_command
 
 import keepout
+from keepout.apps.flight_code import rounding
 from keepout.apps.flight_code.folder import sources, write_flight_code
 from keepout.apps.flight_code.missions import Coded, coded
 from keepout.core.errors import ExchangeError
 from keepout.core.fields.field import values
+from keepout.core.fields.grid import GridField
+from keepout.core.fields.neural import NeuralField
 from keepout.core.flight import loop
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario
+from keepout.core.proof.bounds import ELEMENTARY, UNIT64
 
 pytestmark = pytest.mark.long
 compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc here")
@@ -91,12 +96,39 @@ def test_the_packed_field_differs_by_no_more_than_the_guard_is_told(mission: Mis
     before, after = mission.guard, made.mission.guard
     assert before is not None
     assert after is not None
-    assert after.evaluation_error == before.evaluation_error + made.packing_error
+    assert after.evaluation_error == before.evaluation_error + made.packing_error + made.rounding.guard_field
+    assert after.assumptions.force_error == before.assumptions.force_error + made.rounding.force
     assert 0.0 < made.packing_error < 5e-4
     radius = float(before.field.continuation.outer_radius)  # pyright: ignore[reportAttributeAccessIssue]
     places = np.random.default_rng(0).uniform(-radius, radius, (20_000, 3))
     apart = np.abs(values(after.field, places) - values(before.field, places))
     assert 0.1 * made.packing_error < apart.max() <= made.packing_error
+
+
+@compiler
+@pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="no wider float here")
+def test_double_loses_no_more_than_is_counted(made: Coded, folder: Path):
+    code, guard, field = compiled_step.CompiledStep(made, folder), made.mission.guard, made.law.velocity.field
+    assert guard is not None
+    assert isinstance(guard.field, GridField)
+    assert isinstance(field, NeuralField)
+    rng, reach = np.random.default_rng(0), rounding.reach_of(guard)
+    places = rng.normal(size=(400, 3))
+    places *= (reach * rng.uniform(0.02, 1.0, (400, 1)) ** 2) / np.linalg.norm(places, axis=1)[:, None]
+    by_guard, by_law = code.fields(places)
+    lost = np.abs(by_guard - long_fields.spline(guard.field, places)).max()
+    assert 1e-16 < lost <= rounding.of_spline(guard.field, reach) < made.rounding.guard_field < 1e-10
+    lost = np.abs(by_law - long_fields.network(field, places)).max()
+    assert 1e-16 < lost <= made.rounding.law_field < 1e-8
+    assert 0.0 < made.rounding.force < 1e-10
+    # The functions that these bounds are of: units of the result's last place, of the arc cosine of its largest.
+    x = np.concatenate([rng.uniform(-60.0, 0.0, 3000), rng.uniform(1.0, 2.0, 3000), rng.uniform(0.0, 1.0, 3000)])
+    named = {"exp": np.exp, "log": np.log, "acos": np.arccos}
+    for part, (name, truth) in zip(np.split(x, 3), named.items(), strict=True):
+        exact = truth(part.astype(np.longdouble))
+        size = np.pi / 2 if name == "acos" else np.abs(exact)
+        units = np.abs(code.function(name, part) - exact) / (UNIT64 * size)
+        assert units.max() < (2.0 if name == "acos" else 1.0) * ELEMENTARY
 
 
 @compiler

@@ -41,8 +41,9 @@ def write_flight_code(
         progress: called as the work goes on.
 
     Returns:
-        The folder, its files, the bytes of the tables, by how much a packed field can be wrong (m), and
-        whether the start is under the guard's theorem with that counted.
+        The folder, its files, the bytes of the tables, by how much a packed field can be wrong (m), what rounding
+        can do to the guard's tests (as a field value, m), to its force (N) and to the law's field (m), and whether
+        the start is under the guard's theorem with packing and rounding counted.
 
     Raises:
         ExchangeError: something of the mission that the code cannot fly; the message names the entry.
@@ -79,6 +80,9 @@ def write_flight_code(
         "files": sorted(files),
         "tables_bytes": len(image) + _network_bytes(made),
         "packing_error_m": made.packing_error,
+        "rounding_m": made.rounding.guard_field,
+        "rounding_n": made.rounding.force,
+        "law_rounding_m": made.rounding.law_field,
         "start_certified": made.mission.start_certified,
     }
 
@@ -183,6 +187,9 @@ def _readme(made: Coded, image: int, text: str) -> str:
         "IMAGE_BYTES": f"{image:,}",
         "NETWORK_BYTES": f"{_network_bytes(made):,}",
         "PACKING_ERROR": f"{1e3 * made.packing_error:.3f} mm",
+        "ROUNDING": f"{made.rounding.guard_field:.1e} m",
+        "LAW_ROUNDING": f"{made.rounding.law_field:.1e} m",
+        "FORCE_ROUNDING": f"{made.rounding.force:.1e} N",
         "EVALUATION_ERROR": "none" if guard is None else f"{1e3 * guard.evaluation_error:.3f} mm",
         "CERTIFIED": {True: "is", False: "is not", None: "has no guard, and so is not"}[made.mission.start_certified],
         "PERIOD": f"{scenario.control.period:g} s",

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from keepout.apps.flight_code.rounding import Rounding, of_network, of_spline, reach_of, with_rounding
 from keepout.apps.flight_code.spline_tables import SplineTables, packed
 from keepout.core.control.controller import Controller
 from keepout.core.control.geodesic import GeodesicGuidance
@@ -39,6 +40,7 @@ class Coded(NamedTuple):
         guard_tables: the guard's field, packed; None without a guard.
         law_tables: likewise the law's, where it flies by a spline of its own; None where it shares the guard's.
         packing_error: how far a packed field can be from the certified one, m.
+        rounding: what double can do to the numbers of the code; the guard counts its own part.
 
     """
 
@@ -47,6 +49,7 @@ class Coded(NamedTuple):
     guard_tables: SplineTables | None
     law_tables: SplineTables | None
     packing_error: float
+    rounding: Rounding
 
 
 def coded(mission: Mission) -> Coded:
@@ -69,8 +72,9 @@ def coded(mission: Mission) -> Coded:
         field = held if shared else field
         assumed = jax.tree.map(float, guard.assumptions)  # a setup's are arrays
         guard = Guard(held, guard.threshold, guard.lipschitz, assumed, guard.evaluation_error + error)
+        guard, rounded, force = with_rounding(guard)
     else:
-        shared = False
+        shared, rounded, force = False, 0.0, 0.0
     law_tables = None
     if isinstance(field, NeuralField):
         layers = jax.tree.map(lambda array: jax.device_put(np.asarray(array, np.float64)), field.layers)
@@ -86,7 +90,13 @@ def coded(mission: Mission) -> Coded:
         start_certified = require_flyable(guard, mission.initial, law.goal) and not mission.assumptions_broken
     setup = dataclasses.replace(setup, controller=flown, guard=guard, field=field)
     made = dataclasses.replace(mission, setup=setup, start_certified=start_certified)
-    return Coded(made, law, tables, law_tables, error)
+    return Coded(made, law, tables, law_tables, error, Rounding(rounded, _law_rounding(field, guard), force))
+
+
+def _law_rounding(field: Any, guard: Guard | None) -> float:
+    """Bound the rounding of the law's field, within the guard's range or else its domain, m."""
+    reach = float(field.continuation.outer_radius) if guard is None else reach_of(guard)
+    return of_network(field, reach) if isinstance(field, NeuralField) else of_spline(field, reach)
 
 
 def _law(mission: Mission) -> Controller:

@@ -3,6 +3,7 @@
 
 #include "keepout_internal.h"
 
+#define LANES 8 /* sums of a product of matrix and vector that go on side by side */
 #define FARTHEST 1e150 /* m along an axis: what is farther counts as if it were here (fields/field.py) */
 
 /* y = p - c, and whether it lies beyond `radius`; in its stead a harmless place where it does not. */
@@ -123,6 +124,99 @@ static double softplus(double z, double beta, double *slope)
     return (keepout_maximum(t, 0.0) + keepout_log(both)) / beta;
 }
 
+/* out[i] = bias[i] + sum of row i times `in`, for the `rows` rows of a matrix. LANES sums go on side by side, each in the
+ * order of its own row, so that `in` is read once for all of them; what is left over goes one by one. */
+static void forward(const float *weights, const float *bias, int32_t rows, int32_t columns, const double *in, double *out)
+{
+    const float *row = weights;
+    int32_t i = 0;
+    int32_t j;
+    for (; (i + LANES) <= rows; i = i + LANES) {
+        double z0 = (double)bias[i];
+        double z1 = (double)bias[i + 1];
+        double z2 = (double)bias[i + 2];
+        double z3 = (double)bias[i + 3];
+        double z4 = (double)bias[i + 4];
+        double z5 = (double)bias[i + 5];
+        double z6 = (double)bias[i + 6];
+        double z7 = (double)bias[i + 7];
+        for (j = 0; j < columns; j++) {
+            const double a = in[j];
+            const float *w = &row[j];
+            z0 = z0 + ((double)w[0] * a);
+            z1 = z1 + ((double)w[columns] * a);
+            z2 = z2 + ((double)w[2 * columns] * a);
+            z3 = z3 + ((double)w[3 * columns] * a);
+            z4 = z4 + ((double)w[4 * columns] * a);
+            z5 = z5 + ((double)w[5 * columns] * a);
+            z6 = z6 + ((double)w[6 * columns] * a);
+            z7 = z7 + ((double)w[7 * columns] * a);
+        }
+        out[i] = z0;
+        out[i + 1] = z1;
+        out[i + 2] = z2;
+        out[i + 3] = z3;
+        out[i + 4] = z4;
+        out[i + 5] = z5;
+        out[i + 6] = z6;
+        out[i + 7] = z7;
+        row = &row[LANES * columns];
+    }
+    for (; i < rows; i++) {
+        double z = (double)bias[i];
+        for (j = 0; j < columns; j++) {
+            z = z + ((double)row[j] * in[j]);
+        }
+        out[i] = z;
+        row = &row[columns];
+    }
+}
+
+/* out[j] = sum of column j times `in`; likewise. */
+static void backward(const float *weights, int32_t rows, int32_t columns, const double *in, double *out)
+{
+    int32_t i;
+    int32_t j = 0;
+    for (; (j + LANES) <= columns; j = j + LANES) {
+        const float *w = &weights[j];
+        double z0 = 0.0;
+        double z1 = 0.0;
+        double z2 = 0.0;
+        double z3 = 0.0;
+        double z4 = 0.0;
+        double z5 = 0.0;
+        double z6 = 0.0;
+        double z7 = 0.0;
+        for (i = 0; i < rows; i++) {
+            const double a = in[i];
+            z0 = z0 + (a * (double)w[0]);
+            z1 = z1 + (a * (double)w[1]);
+            z2 = z2 + (a * (double)w[2]);
+            z3 = z3 + (a * (double)w[3]);
+            z4 = z4 + (a * (double)w[4]);
+            z5 = z5 + (a * (double)w[5]);
+            z6 = z6 + (a * (double)w[6]);
+            z7 = z7 + (a * (double)w[7]);
+            w = &w[columns];
+        }
+        out[j] = z0;
+        out[j + 1] = z1;
+        out[j + 2] = z2;
+        out[j + 3] = z3;
+        out[j + 4] = z4;
+        out[j + 5] = z5;
+        out[j + 6] = z6;
+        out[j + 7] = z7;
+    }
+    for (; j < columns; j++) {
+        double z = 0.0;
+        for (i = 0; i < rows; i++) {
+            z = z + (in[i] * (double)weights[(i * columns) + j]);
+        }
+        out[j] = z;
+    }
+}
+
 /* One forward and one reverse sweep. In Python: fields/neural.py, sweeps. */
 double keepout_network_value_and_gradient(const keepout_network *field, const double point[3], double gradient[3])
 {
@@ -134,25 +228,22 @@ double keepout_network_value_and_gradient(const keepout_network *field, const do
     int32_t inputs = 3;
     int32_t layer;
     int32_t i;
-    int32_t j;
+    for (layer = 0; layer < KEEPOUT_LAYERS; layer++) {
+        for (i = 0; i < KEEPOUT_WIDTH; i++) {
+            slopes[layer][i] = 0.0;
+        }
+    }
     keepout_into_domain(&field->continuation, point, inside);
     for (i = 0; i < 3; i++) {
         now[i] = (inside[i] - field->continuation.centre[i]) / field->scale;
     }
     for (layer = 0; layer < field->layers; layer++) {
-        const float *row = field->weights[layer];
-        const float *bias = field->biases[layer];
         const int32_t width = field->width[layer];
+        forward(field->weights[layer], field->biases[layer], width, inputs, now, next);
         for (i = 0; i < width; i++) {
-            double z = (double)bias[i];
-            for (j = 0; j < inputs; j++) {
-                z = z + ((double)row[j] * now[j]);
-            }
-            next[i] = softplus(z, field->beta, &slopes[layer][i]);
-            row = &row[inputs];
-        }
-        for (i = 0; i < width; i++) {
-            now[i] = next[i];
+            double slope;
+            now[i] = softplus(next[i], field->beta, &slope);
+            slopes[layer][i] = slope;
         }
         inputs = width;
     }
@@ -161,22 +252,12 @@ double keepout_network_value_and_gradient(const keepout_network *field, const do
         now[i] = (double)field->last_weights[i];
     }
     for (layer = field->layers - 1; layer >= 0; layer--) {
-        const float *row = field->weights[layer];
         const int32_t width = field->width[layer];
         const int32_t before = (layer > 0) ? field->width[layer - 1] : 3;
-        for (j = 0; j < before; j++) {
-            next[j] = 0.0;
-        }
         for (i = 0; i < width; i++) {
-            const double push = now[i] * slopes[layer][i];
-            for (j = 0; j < before; j++) {
-                next[j] = next[j] + (push * (double)row[j]);
-            }
-            row = &row[before];
+            next[i] = now[i] * slopes[layer][i];
         }
-        for (j = 0; j < before; j++) {
-            now[j] = next[j];
-        }
+        backward(field->weights[layer], width, before, next, now);
     }
     keepout_copy(now, gradient);
     keepout_continued_gradient(&field->continuation, point, gradient);

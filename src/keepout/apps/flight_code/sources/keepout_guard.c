@@ -104,7 +104,7 @@ static double lowest(const keepout_guard *guard, const double a[3], double value
 
 /* Test 3: points along the stop segment. In Python: Guard._free_along. */
 static bool free_along(const keepout_mission *mission, const double from[3], double value_from, const double to[3],
-                       double value_to, double least)
+                       double value_to, double least, keepout_cell *cell)
 {
     const keepout_guard *guard = mission->guard;
     double before[3];
@@ -122,7 +122,7 @@ static bool free_along(const keepout_mission *mission, const double from[3], dou
                               : to[axis];
         }
         if (i < guard->parts) {
-            value = keepout_spline_value(mission->guard_spline, point);
+            value = keepout_spline_value(mission->guard_spline, point, cell);
         }
         free = free && (lowest(guard, before, value_before, point, value) > least);
         keepout_copy(point, before);
@@ -163,6 +163,7 @@ static bool is_free(const keepout_mission *mission, const double position[3], do
                          + (guard->lipschitz * (sagitta + moved));
     double values[CORNERS];
     double furthest = 0.0;
+    keepout_cell cell;
     double stop[3];
     bool kept;
     bool free;
@@ -177,21 +178,23 @@ static bool is_free(const keepout_mission *mission, const double position[3], do
         furthest = keepout_maximum(furthest, keepout_distance(corners[i], position));
     }
     free = (value - (guard->lipschitz * furthest)) > least; /* test 1 */
+    cell.known = false;
     if (kept && !free) {
         const double *before = position;
         double value_before = value;
         bool stop_free;
         free = true;
         for (i = 0; i < points; i++) { /* test 2 */
-            values[i] = keepout_spline_value(mission->guard_spline, corners[i]);
+            values[i] = keepout_spline_value(mission->guard_spline, corners[i], &cell);
             free = free && (lowest(guard, before, value_before, corners[i], values[i]) > least);
             before = corners[i];
             value_before = values[i];
         }
-        values[points] = keepout_spline_value(mission->guard_spline, corners[points]);
+        values[points] = keepout_spline_value(mission->guard_spline, corners[points], &cell);
         stop_free = lowest(guard, before, value_before, corners[points], values[points]) > least;
         if (free && !stop_free && (value_before > least) && (values[points] > least)) {
-            stop_free = free_along(mission, corners[points - 1], value_before, corners[points], values[points], least);
+            stop_free = free_along(mission, corners[points - 1], value_before, corners[points], values[points], least,
+                                   &cell);
         }
         free = free && stop_free;
     }
@@ -205,8 +208,10 @@ static bool braking_free(const keepout_mission *mission, const keepout_guard_mem
     course_ahead course;
     double corners[CORNERS][3];
     double velocities[KEEPOUT_DELAY + 2][3];
+    keepout_cell cell;
     int32_t points = 1;
     int32_t i;
+    cell.known = false;
     predict(mission->guard, memory, position, velocity, &course);
     for (i = 0; i <= course.last; i++) {
         keepout_copy(course.velocities[i], velocities[i]);
@@ -218,7 +223,7 @@ static bool braking_free(const keepout_mission *mission, const keepout_guard_mem
             keepout_copy(course.path[i + 1], corners[i]);
         }
     }
-    return is_free(mission, position, keepout_spline_value(mission->guard_spline, position), corners, points,
+    return is_free(mission, position, keepout_spline_value(mission->guard_spline, position, &cell), corners, points,
                    velocities, course.last + 1, 0.0, 0.0);
 }
 
@@ -290,8 +295,8 @@ static bool watched(const keepout_guard *guard, const keepout_guard_memory *memo
         jumped = true;
     }
     seen->counted = 0;
-    if ((windows > 0) && (guard->window[windows - 1] > 0)) {
-        seen->counted = (memory->counted + 1) % guard->window[windows - 1];
+    if ((windows > 0) && (memory->counted < (guard->window[windows - 1] - 1))) {
+        seen->counted = memory->counted + 1;
     }
     return jumped;
 }
@@ -523,6 +528,7 @@ int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memor
     const bool finite = keepout_finite3(force);
     seen_state seen;
     course_ahead course;
+    keepout_cell cell;
     double here;
     double candidate[3];
     double position[3];
@@ -537,7 +543,8 @@ int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memor
     int32_t i;
 
     see(guard, memory, estimate, &seen);
-    here = keepout_spline_value(mission->guard_spline, seen.position);
+    cell.known = false;
+    here = keepout_spline_value(mission->guard_spline, seen.position, &cell);
 
     /* Where the commands under way lead. In Python: Guard._predict. */
     predict(guard, memory, seen.position, seen.velocity, &course);

@@ -40,8 +40,15 @@ double keepout_continued(const keepout_continuation *c, const double point[3], d
 void keepout_continued_gradient(const keepout_continuation *c, const double point[3], double gradient[3]);
 double keepout_network_value_and_gradient(const keepout_network *field, const double point[3], double gradient[3]);
 
-/* keepout_spline.c */
-double keepout_spline_value(const keepout_spline *field, const double point[3]);
+/* keepout_spline.c. Points of one step lie close together: the cell found last is kept for the next one. */
+typedef struct {
+    bool known;
+    int32_t level;
+    int32_t start[3];            /* its first coefficient's node */
+    float coefficients[4][4][4]; /* m */
+} keepout_cell;
+
+double keepout_spline_value(const keepout_spline *field, const double point[3], keepout_cell *cell);
 double keepout_spline_value_and_gradient(const keepout_spline *field, const double point[3], double gradient[3]);
 
 /* keepout_motion.c */

@@ -65,12 +65,8 @@ int32_t keepout_to_index(double x, int32_t low, int32_t high)
 {
     int32_t index = low;
     const double below = floor(x);
-    if (below >= (double)high) {
-        index = high;
-    } else if (below > (double)low) {
-        index = (int32_t)below;
-    } else {
-        /* low */
+    if ((below == below) && (below > (double)low)) {
+        index = (below < (double)high) ? (int32_t)below : high;
     }
     return index;
 }

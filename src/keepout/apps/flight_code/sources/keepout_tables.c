@@ -29,26 +29,30 @@ static uint32_t checksum(const uint8_t *bytes, size_t size)
     return sum ^ 0xFFFFFFFFu;
 }
 
-/* Where the parts of an image begin and end; `wrong` once one is not as long as it must be. */
+/* Where the parts of an image begin and end, in bytes; `wrong` once one is not as long as it must be. */
 typedef struct {
-    const uint8_t *lengths;
-    const uint8_t *next;
-    uint32_t left;
-    uint32_t parts;
+    const uint8_t *image;
+    uint64_t size;
+    uint64_t lengths; /* where the next part's length stands */
+    uint64_t next;    /* where the next part begins */
+    uint32_t parts;   /* left */
     bool wrong;
 } reader;
 
 static const uint8_t *part(reader *from, uint64_t length)
 {
-    const uint8_t *at = from->next;
-    if ((from->parts == 0u) || (length > (uint64_t)from->left) || (length != (uint64_t)four_bytes(from->lengths))) {
-        from->wrong = true;
-    } else {
-        from->lengths = &from->lengths[4];
-        from->parts = from->parts - 1u;
-        from->next = &from->next[length];
-        from->left = from->left - (uint32_t)length;
+    const uint8_t *at = from->image;
+    bool good = false;
+    if ((from->parts > 0u) && (length == (uint64_t)four_bytes(&from->image[from->lengths])) && (length <= from->size)) {
+        if (from->next <= (from->size - length)) {
+            good = true;
+            at = &from->image[from->next];
+            from->next = from->next + length;
+            from->lengths = from->lengths + 4u;
+            from->parts = from->parts - 1u;
+        }
     }
+    from->wrong = from->wrong || !good;
     return at;
 }
 
@@ -78,37 +82,35 @@ int32_t keepout_open(const uint8_t *image, size_t size, const keepout_tables *la
                      keepout_tables *tables)
 {
     int32_t answer = KEEPOUT_IMAGE_GOOD;
+    const size_t length = (size < (size_t)HEADER) ? 0u : (size_t)four_bytes(&image[16]);
     if (size < (size_t)HEADER) {
         answer = KEEPOUT_IMAGE_SHORT;
     } else if (memcmp(image, "KEEPOUT", 8u) != 0) {
         answer = KEEPOUT_IMAGE_NOT_ONE;
     } else if ((four_bytes(&image[8]) != KEEPOUT_FORMAT) || (four_bytes(&image[12]) != 0x01020304u)) {
         answer = KEEPOUT_IMAGE_VERSION;
-    } else if ((size - (size_t)HEADER) < (size_t)four_bytes(&image[16])) {
+    } else if (length > (size - (size_t)HEADER)) {
         answer = KEEPOUT_IMAGE_SHORT;
-    } else if (four_bytes(&image[20]) != checksum(&image[HEADER], (size_t)four_bytes(&image[16]))) {
+    } else if (four_bytes(&image[20]) != checksum(&image[HEADER], length)) {
         answer = KEEPOUT_IMAGE_DAMAGED;
     } else if (four_bytes(&image[20]) != digest) {
         answer = KEEPOUT_IMAGE_OF_ANOTHER;
     } else {
         keepout_tables made = *layout;
-        reader from = {NULL, NULL, four_bytes(&image[16]), 0u, false};
-        if (from.left >= 4u) {
+        reader from = {image, (uint64_t)HEADER + (uint64_t)length, (uint64_t)HEADER + 4u, 0u, 0u, false};
+        if (length >= 4u) {
             from.parts = four_bytes(&image[HEADER]);
-            from.left = from.left - 4u;
         }
-        if (from.parts > (from.left / 4u)) {
+        if ((length < 4u) || (from.parts > ((length - 4u) / 4u))) {
             answer = KEEPOUT_IMAGE_WRONG;
         } else {
-            from.lengths = &image[HEADER + 4u];
-            from.next = &from.lengths[4u * from.parts];
-            from.left = from.left - (4u * from.parts);
+            from.next = from.lengths + (4u * (uint64_t)from.parts);
             if (made.guidance.nodes[0] > 0) {
                 made.guidance.directions = part(&from, 3u * product(made.guidance.nodes));
             }
             open_spline(&from, &made.law_spline);
             open_spline(&from, &made.guard_spline);
-            if (from.wrong || (from.parts != 0u) || (from.left != 0u)) {
+            if (from.wrong || (from.parts != 0u) || (from.next != from.size)) {
                 answer = KEEPOUT_IMAGE_WRONG;
             } else {
                 *tables = made;

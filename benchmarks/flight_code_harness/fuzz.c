@@ -1,0 +1,148 @@
+/* Steps on numbers of any kind: `fuzz tables.bin STEPS SEED`. Flights begin anew every 50 steps; between them the motion
+ * goes on, is told wrongly, jumps, is no number, or is any bits. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "keepout_internal.h"
+#include "mission_tables.h"
+#include "flight_begin.h"
+
+static uint64_t state;
+
+static uint64_t next(void)
+{
+    state ^= state << 13;
+    state ^= state >> 7;
+    state ^= state << 17;
+    return state;
+}
+
+static double uniform(void)
+{
+    return (double)(next() >> 11) / 9007199254740992.0;
+}
+
+static double any(void)
+{
+    const uint64_t bits = next();
+    double x;
+    switch (next() % 6u) {
+    case 0:
+        memcpy(&x, &bits, sizeof x);
+        break;
+    case 1:
+        x = NAN;
+        break;
+    case 2:
+        x = ((next() & 1u) != 0u) ? INFINITY : -INFINITY;
+        break;
+    case 3:
+        x = (uniform() - 0.5) * exp(600.0 * uniform());
+        break;
+    default:
+        x = (uniform() - 0.5) * 40.0;
+        break;
+    }
+    return x;
+}
+
+static void scatter(keepout_estimate *told)
+{
+    int i;
+    *told = flight_begin;
+    for (i = 0; i < 3; i++) {
+        told->position[i] = (uniform() - 0.5) * 30.0;
+        told->velocity[i] = (uniform() - 0.5) * 0.1;
+    }
+    told->time = uniform() * 1e5;
+}
+
+/* One number in 40 or so is any. */
+static void disturb(keepout_estimate *told)
+{
+    double *numbers[] = {told->position, told->velocity, told->angular_velocity};
+    int i;
+    int j;
+    for (i = 0; i < 3; i++) {
+        for (j = 0; j < 3; j++) {
+            if ((next() % 60u) == 0u) {
+                numbers[i][j] = any();
+            }
+        }
+    }
+    for (i = 0; i < 4; i++) {
+        if ((next() % 400u) == 0u) {
+            told->attitude[i] = any();
+        }
+    }
+    if ((next() % 300u) == 0u) {
+        told->time = any();
+    }
+}
+
+/* The memory after a bit was turned somewhere in it, but for its truth values, which C knows as 0 and 1 only. */
+static void turn_a_bit(keepout_memory *memory)
+{
+    double *places[] = {memory->law.velocity,           memory->law.drift,          memory->guard.plan_position,
+                        memory->guard.plan_velocity,    memory->guard.unexplained[0], memory->guard.seen_position,
+                        memory->guard.expected_velocity, memory->guard.doubts};
+    double *at = &places[next() % 8u][next() % 2u];
+    uint64_t bits;
+    memcpy(&bits, at, sizeof bits);
+    bits ^= (uint64_t)1u << (next() % 64u);
+    memcpy(at, &bits, sizeof bits);
+    if ((next() % 4u) == 0u) {
+        memory->guard.counted = (int32_t)(next() & 0xFFFFFFFFu);
+    }
+}
+
+int main(int count, char **words)
+{
+    static uint8_t image[FLIGHT_IMAGE];
+    static keepout_tables tables;
+    static keepout_mission mission;
+    static keepout_memory memory;
+    keepout_estimate truth = flight_begin;
+    keepout_order order;
+    FILE *file = (count == 4) ? fopen(words[1], "rb") : NULL;
+    const long steps = (count == 4) ? atol(words[2]) : 0;
+    long number;
+    int i;
+    double (*under_way)[3] = calloc(KEEPOUT_MOST_DELAY, sizeof *under_way);
+    state = 88172645463325252u ^ ((count == 4) ? ((uint64_t)atol(words[3]) << 20) : 0u);
+    if ((file == NULL) || (under_way == NULL) || (fread(image, 1u, FLIGHT_IMAGE, file) != FLIGHT_IMAGE)
+        || (keepout_open(image, FLIGHT_IMAGE, &keepout_mission_layout, keepout_mission_digest, &tables) != 0)) {
+        return 2;
+    }
+    (void)fclose(file);
+    keepout_mission_with(&tables, &mission);
+    memset(&order, 0, sizeof order);
+    for (number = 0; number < steps; number++) {
+        keepout_estimate told;
+        if ((number % 50) == 0) {
+            scatter(&truth);
+            for (i = 0; i < (3 * KEEPOUT_MOST_DELAY); i++) {
+                under_way[i / 3][i % 3] = any();
+            }
+            told = truth;
+            if ((next() % 4u) == 0u) {
+                disturb(&told);
+            }
+            keepout_begin(&mission, &memory, &told, ((next() & 1u) != 0u) ? (const double(*)[3])under_way : NULL);
+        }
+        told = truth;
+        if ((next() % 3u) == 0u) {
+            disturb(&told);
+        }
+        if ((next() % 200u) == 0u) {
+            turn_a_bit(&memory);
+        }
+        keepout_step(&mission, &memory, &told, &order);
+        keepout_move(mission.motion, &truth, order.force, mission.law->period, mission.law->mass);
+    }
+    free(under_way);
+    (void)printf("%ld steps\n", steps);
+    return 0;
+}

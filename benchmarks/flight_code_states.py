@@ -1,0 +1,210 @@
+"""Random steps and closed loops by which the exported C is compared with Python.
+
+Each random step starts from Python's memory, put into the C code's, so that differences do not add up; estimates are
+wrong, jump, are no numbers or are far away. Closed loops are each on its own.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from compiled_step import estimates_of, memories_of
+from flight_code_missions import Exported
+
+from keepout.apps.flight_code.missions import Coded
+from keepout.core.flight import loop
+from keepout.core.motion.disturbance import NoDisturbance
+
+FLIGHTS = 64
+AGAIN = 150
+"""Steps after which the random flights begin anew."""
+CLOSED = 3000
+"""Steps of a closed loop."""
+ASKED = 1e-11
+"""How near the numbers of a step should be, over their size and 1e-3 of their unit."""
+NUDGES = 16
+
+
+def apart(a: Any, b: Any, least: float = 1e-3) -> float:
+    """Give the largest difference over the larger number plus `least`; none of equal ones, and of no numbers."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    with np.errstate(invalid="ignore", over="ignore"):
+        far = np.abs(a - b) / (least + np.maximum(np.abs(a), np.abs(b)))
+    return float(np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, far).max())
+
+
+def memories_apart(made: Coded, a: np.ndarray, b: np.ndarray, least: float = 1e-3) -> dict[str, float]:
+    """Give how far parts of memories, records of C, are apart; what the mission does not use is left out."""
+    guard = made.mission.setup.guard
+    parts = ["law"] if guard is None else ["law", "guard"]
+    unused = () if guard is not None and guard.braking.observer is not None else ("seen_position", "seen_velocity")
+    names = [(part, name) for part in parts for name in a[part].dtype.names or () if name not in unused]
+    return {f"{part}.{name}": apart(a[part][name], b[part][name], least) for part, name in names}
+
+
+class Step(NamedTuple):
+    """A step of many random flights in Python: memories of law and guard before it and after it, and its answer."""
+
+    before: Any
+    estimate: Any
+    order: Any
+    force: np.ndarray
+    status: np.ndarray
+    after: Any
+
+
+class Flights:
+    """Flights of a mission in Python, `FLIGHTS` at once: everything that they do is compiled once."""
+
+    def __init__(self, made: Coded) -> None:
+        """Take the mission as the code flies it."""
+        setup = made.mission.setup
+        self.made, self.begin = made, jax.jit(jax.vmap(lambda estimate: loop.memories(setup, estimate)))
+
+        @jax.jit
+        @jax.vmap
+        def step(memory: Any, estimate: Any, truth: Any, push: Any) -> Any:
+            law, guard, order, force, status = loop.command(setup, *memory, estimate)
+            moved = setup.motion.step(truth, force + push, NoDisturbance(), setup.period, setup.mass)
+            return (law, guard), (force, order, status), moved
+
+        self.step = step
+
+    def scattered(self, rng: np.random.Generator) -> Any:
+        """Give states on all sides of the target."""
+        initial = self.made.mission.initial
+        start = jax.tree.map(lambda a: jnp.broadcast_to(a, (FLIGHTS, *jnp.shape(a))), initial)
+        places = rng.normal(size=(FLIGHTS, 3))
+        places *= rng.uniform(1.0, 14.0, (FLIGHTS, 1)) / np.linalg.norm(places, axis=1)[:, None]
+        speeds = rng.normal(0, 0.03, (FLIGHTS, 3))
+        return dataclasses.replace(start, position=jnp.asarray(places), velocity=jnp.asarray(speeds))
+
+    def random(self, steps: int, rng: np.random.Generator) -> Iterator[Step]:
+        """Fly random steps."""
+        none = np.zeros((FLIGHTS, 3))
+        for number in range(-(-steps // FLIGHTS)):
+            if number % AGAIN == 0:
+                state = self.scattered(rng)
+                memory = self.begin(state)
+            estimate, before = told(state, rng), memory
+            memory, (force, order, status), state = self.step(memory, estimate, state, none)
+            yield Step(before, estimate, order, np.asarray(force), np.asarray(status), memory)
+
+    def closed(self, rng: np.random.Generator) -> tuple[Any, np.ndarray, Any]:
+        """Fly whole flights, told the truth, under constant forces: where they begin, the forces (N), their ends."""
+        initial = self.made.mission.initial
+        start = jax.tree.map(lambda a: jnp.broadcast_to(a, (FLIGHTS, *jnp.shape(a))), initial)
+        moved = np.asarray(start.position) + rng.uniform(-1.0, 1.0, (FLIGHTS, 3))
+        start = dataclasses.replace(start, position=jnp.asarray(moved))
+        pushes = rng.uniform(-0.002, 0.002, (FLIGHTS, 3))
+        state, memory = start, self.begin(start)
+        for _ in range(CLOSED):
+            memory, _, state = self.step(memory, state, state, pushes)
+        return start, pushes, state
+
+
+def told(state: Any, rng: np.random.Generator) -> Any:
+    """Give wrong estimates of states."""
+    count = len(state.position)
+    position = state.position + rng.normal(0, 0.005, (count, 3)) * (rng.random((count, 1)) < 0.3)
+    position += rng.normal(0, 0.5, (count, 3)) * (rng.random((count, 1)) < 0.03)
+    position = jnp.where(rng.random((count, 1)) < 0.01, position * 10.0 ** rng.uniform(0, 300, (count, 1)), position)
+    position = jnp.where(rng.random((count, 1)) < 0.01, jnp.nan, position)
+    return dataclasses.replace(state, position=position, velocity=state.velocity + rng.normal(0, 3e-4, (count, 3)))
+
+
+class Compared(NamedTuple):
+    """What random steps have shown.
+
+    Attributes:
+        steps: how many.
+        differ: statuses that differ.
+        force: largest difference of a force, over its size and 1e-3 N.
+        memory: likewise of a memory's parts.
+        worst: the part of the memory that differs most.
+        beyond: steps of which a number differs by more than `ASKED`.
+        share: of these the largest difference, over what `NUDGES` nudges of the inputs' last bits do to the C code.
+        kept: steps in Python, of which later tests take theirs.
+
+    """
+
+    steps: int
+    differ: int
+    force: float
+    memory: float
+    worst: str
+    beyond: int
+    share: float
+    kept: list[Step]
+
+
+def compared(flown: Exported, flights: Flights, steps: int, keep: int = 16) -> Compared:
+    """Step both codes from the same memories."""
+    made, total = flown.made, Compared(0, 0, 0.0, 0.0, "", 0, 0.0, [])
+    every = max(steps // FLIGHTS // keep, 1)
+    for number, row in enumerate(flights.random(steps, np.random.default_rng(1))):
+        given, after = memories_of(made, *row.before), memories_of(made, *row.after)
+        held, estimate = given.copy(), estimates_of(row.estimate)
+        order = flown.code.step(held, estimate)
+        wrong = (order["guard_status"] != row.status) | (order["control_status"] != np.asarray(row.order.status))
+        force, parts = apart(order["force"], row.force), memories_apart(made, held, after)
+        worst = max(parts, key=lambda name: parts[name])
+        beyond, share = total.beyond, total.share
+        if max(force, parts[worst]) > ASKED:
+            for flight in range(len(wrong)):
+                one = slice(flight, flight + 1)
+                far = _far(made, (order["force"][one], held[one]), (row.force[one], after[one]))
+                if far > ASKED and not wrong[flight]:
+                    beyond += 1
+                    share = max(share, far / max(_nudged(flown, given[one], estimate[one]), 1e-16))
+        total = Compared(
+            steps=total.steps + FLIGHTS,
+            differ=total.differ + int(wrong.sum()),
+            force=max(total.force, force),
+            memory=max(total.memory, parts[worst]),
+            worst=worst if parts[worst] > total.memory else total.worst,
+            beyond=beyond,
+            share=share,
+            kept=[*total.kept, row] if number % every == 0 else total.kept,
+        )
+    return total
+
+
+def _far(made: Coded, a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> float:
+    return max(apart(a[0], b[0]), *memories_apart(made, a[1], b[1]).values())
+
+
+def _nudged(flown: Exported, memory: np.ndarray, estimate: np.ndarray) -> float:
+    """Give the largest difference that a last bit more or less of every input makes to a step of the C code."""
+    rng, most = np.random.default_rng(6), 0.0
+    held = memory.copy()
+    plain = flown.code.step(held, estimate)["force"]
+    for _ in range(NUDGES):
+        near, told = memory.copy(), estimate.copy()
+        for record in (near["law"], near["guard"], told):
+            for name in record.dtype.names or ():
+                if record.dtype[name].base == np.float64:
+                    bits = rng.integers(-1, 2, np.shape(record[name]))
+                    with np.errstate(invalid="ignore", over="ignore"):
+                        record[name] += np.nan_to_num(bits * np.spacing(np.abs(record[name])), posinf=0.0)
+        force = flown.code.step(near, told)["force"]
+        most = max(most, _far(flown.made, (force, near), (plain, held)))
+    return most
+
+
+def closed_loops(flown: Exported, flights: Flights) -> float:
+    """Fly whole flights by both codes, each on its own: how far apart they end, m."""
+    start, pushes, end = flights.closed(np.random.default_rng(2))
+    flown_by_c = flown.code.fly(estimates_of(start), pushes, CLOSED)
+    return float(np.abs(flown_by_c["position"] - np.asarray(end.position)).max())
+
+
+def gathered(kept: list[Step], rows: int) -> tuple[Any, Any, Any, np.ndarray, np.ndarray]:
+    """Gather states of random flights: memories of law and guard, estimates, the law's forces and disturbances (N)."""
+    picked = [(*row.before, row.estimate, row.order.force, row.order.disturbance_estimate) for row in kept]
+    whole = jax.tree.map(lambda *parts: np.concatenate([np.asarray(part) for part in parts]), *picked)
+    some = np.random.default_rng(4).choice(len(whole[3]), min(rows, len(whole[3])), replace=False)
+    return jax.tree.map(lambda array: array[some], whole)
