@@ -100,7 +100,7 @@ def loops(options: argparse.Namespace, folders: list[Path]) -> Rows:
     for name in [name for name in MISSIONS if folder_of(name, options.kept) in folders][: options.loops]:
         flown = exported(name, options.kept)
         ends.append(closed_loops(flown, Flights(flown.made)))
-    reached = f"{len(ends) * FLIGHTS} flights of {len(ends)} missions, {CLOSED} steps: {max(ends):.1e} m"
+    reached = f"{len(ends) * FLIGHTS} flights, missions: {len(ends)}, {CLOSED} steps: {max(ends):.1e} m"
     return [_row("closed loops, each its own", "20 missions, 3,000 steps: ≤ 1e-10 m", reached)]
 
 

@@ -2,8 +2,8 @@
 
 What is computed is followed with two numbers each: a size that neither it nor the exact number exceeds, and an error
 that lies between them. An operation adds to the error of its operands at most u = 2⁻⁵³ of its result's size, and a
-function of `sources/keepout_math.c` at most `ELEMENTARY` u (a test of this holds each to less). The network is bounded
-by `core/proof/bounds.py`, which allows for any order of its sums.
+function of `sources/keepout_math.c` at most `ELEMENTARY` u. Tests hold exp and log to less, and acos to twice that, as
+counted here. The network is bounded by `core/proof/bounds.py`, which allows for any order of its sums.
 
 A rounded place is an exact one nearby, so that only the field's slope turns it into an error of the value. For a spline
 that slope is the largest of any of its cells. Where cells of two spacings meet, values may jump, with rounding and
@@ -27,7 +27,7 @@ _BOXES = 12
 """Along each axis, into which a learned field's domain is cut."""
 _MOST_ROUNDINGS = 12
 """From one step's state to the next one's, of a position or a velocity: those of `keepout_step_ahead` (4), of the
-observer (6), of the difference to the plan."""
+observer (6), of the difference to the plan. Counted by hand in the sources."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -96,12 +96,13 @@ def paint_bodies(axes: Axes, scenario: Scenario, eye: Float[np.ndarray, "3 3"]) 
     """
     approach = told(scenario, 0.0)
     limits = axes.get_xlim(), axes.get_ylim()
+    still = {"body", "vvlh"} if scenario.attitude.kind == "vvlh" else {"body"}
     for body in approach["bodies"]:
-        if body["axes"] in ("body", "vvlh" if scenario.attitude.kind == "vvlh" else "body"):
-            flat = (_outline(body) @ eye.T)[:, :2]
-            look = {"facecolor": _COLOURS[body["kind"]], "alpha": 0.09, "zorder": 0.4}
-            axes.fill(*flat[ConvexHull(flat).vertices].T, **look, linewidth=0.0)
-            axes.fill(*flat[ConvexHull(flat).vertices].T, fill=False, edgecolor=look["facecolor"], linewidth=0.6)
+        if body["axes"] in still:
+            flat, colour = (_outline(body) @ eye.T)[:, :2], _COLOURS[body["kind"]]
+            around = flat[ConvexHull(flat).vertices].T
+            axes.fill(*around, facecolor=colour, alpha=0.09, linewidth=0.0, zorder=0.4)
+            axes.fill(*around, fill=False, edgecolor=colour, linewidth=0.6)
     holds = np.array([hold["position"] for hold in approach["holds"][:-1]]).reshape(-1, 3) @ eye.T
     axes.plot(*holds[:, :2].T, color="black", marker="D", markersize=4, linestyle="")
     axes.set(xlim=limits[0], ylim=limits[1])
