@@ -1,5 +1,7 @@
 """Built-in targets: closed, in one piece, of their public size, with the source paper's points where they should be."""
 
+import sys
+
 import numpy as np
 import pytest
 from truths.solids import solid_angle
@@ -62,3 +64,17 @@ def test_wings_turn_and_stretch(name):
 def test_bad_parameters_are_named(arguments, word):
     with pytest.raises(MeshError, match=word):
         Target.load("intelsat30", **arguments)
+
+
+@pytest.mark.parametrize("name", ["intelsat30", "iss", "tiangong", "pocket"])
+def test_whoever_holds_its_parts_a_target_is_the_same(name):
+    """As a debugger or a profiler does: a field is for these triangles, and would be refused."""
+    alone, held = Target.load(name).sha256, []
+    profiled = sys.getprofile()
+    sys.setprofile(lambda frame, *_: held.append(frame) if "geometry" in frame.f_code.co_filename else None)
+    try:
+        watched = Target.load(name).sha256
+    finally:
+        sys.setprofile(profiled)
+    assert held
+    assert watched == alone

@@ -55,12 +55,12 @@ def intelsat30(wing_span: float = 26.8, wing_angle: float = 0.0) -> Manifold:
     radiators = [box((side * (_HALF_X + 0.02), 0.0, -0.6), (0.10, 2.70, 3.60)) for side in (-1, 1)]
     engine = rod((0.0, 0.0, _AFT + 0.05), (0.0, 0.0, _AFT - 0.25), 0.12, 0.24)
     hinge = -0.35
-    wings = [_panel_wing(side, 0.5 * wing_span).rotate((np.degrees(wing_angle), 0.0, 0.0)) for side in (-1, 1)]
-    wings = [wing.translate((0.0, 0.0, hinge)) for wing in wings]
+    wings = [part for side in (-1, 1) for part in _panel_wing(side, 0.5 * wing_span)]
+    wings = [part.rotate((np.degrees(wing_angle), 0.0, 0.0)).translate((0.0, 0.0, hinge)) for part in wings]
     return unite([bus, *radiators, engine, *wings, *_tower(), *_reflectors()])
 
 
-def _panel_wing(side: int, tip: float) -> Manifold:
+def _panel_wing(side: int, tip: float) -> list[Manifold]:
     """Yoke, four panels in line and one crosswise pair, about the x axis."""
     thickness = 0.06
     root = 3.0
@@ -79,7 +79,7 @@ def _panel_wing(side: int, tip: float) -> Manifold:
     for sign in (-1, 1):
         parts.append(box((side * cross, sign * 2.17, 0.0), (length - 0.06, 2.1, thickness)))
         parts += [box((side * (cross + x), sign * 1.09, 0.0), (0.12, 0.2, thickness)) for x in (-0.8, 0.8)]
-    return unite(parts)
+    return parts
 
 
 def _tower() -> list[Manifold]:
@@ -134,12 +134,17 @@ def iss(wing_span: float = 73.9, wing_angle: float = 0.0) -> Manifold:
         plane.
 
     """
-    wings = unite(_blanket_wing(x, side, 0.5 * wing_span) for x in (-48.4, -33.0, 33.0, 48.4) for side in (-1, 1))
-    wings = wings.rotate((np.degrees(wing_angle), 0.0, 0.0))
-    return unite([wings, *_truss(), *_radiators(), *_american_segment(), *_russian_segment()])
+    wings = [_blanket_wing(x, side, 0.5 * wing_span) for x in (-48.4, -33.0, 33.0, 48.4) for side in (-1, 1)]
+    parts = [*_truss(), *_radiators(), *_american_segment(), *_russian_segment()]
+    return unite([*parts, *_turned_about_x(wings, wing_angle)])
 
 
-def _blanket_wing(x: float, side: int, tip: float) -> Manifold:
+def _turned_about_x(wings: list[list[Manifold]], angle: float) -> list[Manifold]:
+    """Parts of wings, turned about x by an angle (rad), the last wing first: the order that shipped fields are of."""
+    return [part.rotate((np.degrees(angle), 0.0, 0.0)) for wing in reversed(wings) for part in wing]
+
+
+def _blanket_wing(x: float, side: int, tip: float) -> list[Manifold]:
     """Mast canister and mast, and a blanket on each side of the mast between two blanket boxes."""
     root = 3.2
     parts = [
@@ -149,8 +154,7 @@ def _blanket_wing(x: float, side: int, tip: float) -> Manifold:
         box((x, side * (tip - 0.15), 0.0), (12.0, 0.3, 0.25)),
     ]
     middle, length = 0.5 * side * (root + tip), tip - root
-    parts += [box((x + sign * 3.35, middle, 0.0), (4.6, length - 0.2, 0.1)) for sign in (-1, 1)]
-    return unite(parts)
+    return [*parts, *(box((x + sign * 3.35, middle, 0.0), (4.6, length - 0.2, 0.1)) for sign in (-1, 1))]
 
 
 def _truss() -> list[Manifold]:
@@ -273,12 +277,11 @@ def tiangong(wing_span: float = 56.0, wing_angle: float = 0.0) -> Manifold:
         wing_angle: rotation of the laboratories' wings about x, radians; 0 leaves them in the xy plane.
 
     """
-    parts = [*_tianhe(), *_shenzhou(), *_tianzhou()]
+    parts, wings = [*_tianhe(), *_shenzhou(), *_tianzhou()], []
     for side in (-1, 1):
         parts += _laboratory(side, airlock=side < 0)
-        wings = unite(_flexible_wing(side * 18.2, sign, 0.5 * wing_span) for sign in (-1, 1))
-        parts.append(wings.rotate((np.degrees(wing_angle), 0.0, 0.0)))
-    return unite(parts)
+        wings += [_flexible_wing(side * 18.2, sign, 0.5 * wing_span) for sign in (-1, 1)]
+    return unite([*parts, *_turned_about_x(wings, wing_angle)])
 
 
 def _tianhe() -> list[Manifold]:
@@ -320,7 +323,7 @@ def _laboratory(side: int, *, airlock: bool) -> list[Manifold]:
     return parts
 
 
-def _flexible_wing(x: float, side: int, tip: float) -> Manifold:
+def _flexible_wing(x: float, side: int, tip: float) -> list[Manifold]:
     """One flexible wing: a mast between two blankets, held by a root and a tip bar."""
     root = 1.6
     parts = [
@@ -329,8 +332,7 @@ def _flexible_wing(x: float, side: int, tip: float) -> Manifold:
         box((x, side * (tip - 0.15), 0.0), (4.6, 0.3, 0.2)),
     ]
     middle, length = 0.5 * side * (root + tip), tip - root
-    parts += [box((x + sign * 1.3, middle, 0.0), (1.9, length, 0.08)) for sign in (-1, 1)]
-    return unite(parts)
+    return [*parts, *(box((x + sign * 1.3, middle, 0.0), (1.9, length, 0.08)) for sign in (-1, 1))]
 
 
 def _shenzhou() -> list[Manifold]:

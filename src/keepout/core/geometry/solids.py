@@ -43,7 +43,11 @@ def dish(vertex: Vector, boresight: Vector, diameter: float, focal_length: float
 
 
 def unite(parts: Iterable[Manifold]) -> Manifold:
-    """Unite all parts into one closed surface a body, with nothing inside."""
+    """Unite all parts into one closed surface a body, with nothing inside.
+
+    No part may be a union itself: manifold3d makes one apart only where somebody else holds it, be it a debugger, and
+    the triangles are others then.
+    """
     return Manifold.batch_boolean(list(parts), manifold3d.OpType.Add)
 
 
