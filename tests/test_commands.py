@@ -352,6 +352,7 @@ numpy.savez("ten.npz", clearance=flight.clearance, force=force, position=flight.
 """
 
 
+@pytest.mark.slow  # names and results of Python are in test_public_names
 def test_the_ten_lines_of_readme(folder, flown):
     """As they stand, but for the fit, which is that of the command, and for the time that they take."""
     box = Target.load("box")
@@ -426,6 +427,7 @@ def test_campaign_report_compare_and_replay(folder, campaign):
     assert (said["equal"], said["differences"]) == (True, {})
 
 
+@pytest.mark.slow  # judging by requirements is in flights/test_requirements
 @pytest.mark.usefixtures("coarse_surfaces")
 def test_a_campaign_that_is_there_is_judged_by_what_is_required_now(folder, campaign):
     """No flight is flown again for it; a command that finds too few runs that meet it ends with exit code 3."""

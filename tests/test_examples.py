@@ -44,7 +44,8 @@ def test_a_disturbance():
     np.testing.assert_allclose(flight.record.disturbance, swell[:, None] * [0.0, 0.6, 0.8], atol=1e-14)
 
 
-@pytest.mark.parametrize("force_limit", [0.1, pytest.param(100.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("force_limit", [0.1, 100.0])
 def test_the_papers_step_in_numpy_is_keepouts(force_limit):
     ours, plain = example("paper_step").compare(force_limit)
     np.testing.assert_allclose(plain, ours, rtol=0.0, atol=1e-9)

@@ -7,6 +7,7 @@ import pytest
 CODE = act3_task.TASKS["code"]
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_few_seeds_see_all_points_and_keep_off():
     row = act3_inspection.row(CODE, 6)

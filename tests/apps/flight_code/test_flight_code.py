@@ -172,6 +172,7 @@ def test_an_image_that_is_damaged_is_refused(made: Coded, folder: Path):
     assert code.opened(bytes(other)) == 5
 
 
+@pytest.mark.slow  # the self-test holds 64 steps against Python
 @compiler
 def test_steps_answer_as_python_does_whatever_is_told(made: Coded, folder: Path):
     code, setup, rng = compiled_step.CompiledStep(made, folder), made.mission.setup, np.random.default_rng(1)

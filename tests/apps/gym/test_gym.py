@@ -35,6 +35,7 @@ def test_it_is_an_environment_and_a_seed_is_an_episode_to_the_bit(guarded):
     assert not np.array_equal(starts[0], starts[4])
 
 
+@pytest.mark.slow  # batches beside single flights are in core/flight/test_batches
 def test_many_are_one_by_one_through_the_ends_of_episodes(guarded):
     """Towards the goal: some arrive, some are held before the pocket until the time is over, and all begin anew."""
     envs = gymnasium.make_vec("keepout/Approach-v0", num_envs=3, vectorization_mode="vector_entry_point", starts=AROUND)

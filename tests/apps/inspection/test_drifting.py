@@ -69,6 +69,7 @@ def test_no_drift_from_anywhere_on_a_leg_at_its_speed_touches_the_ball(axis):
 PLACES = np.array([[14.0, 9.0, 0.0], [0.0, 9.0, 0.0], [0.0, 5.6, 0.0], [0.0, 7.5, 0.0], [-14.0, 9.0, 0.0]])
 
 
+@pytest.mark.slow  # drifts are judged in test_passive
 def test_a_tour_is_slowed_where_it_must_be_and_goes_round_what_it_may_not_fly_to():
     """Past the ball, down to it too near, down to it near enough to be slow, and away."""
     found = judge(200.0)

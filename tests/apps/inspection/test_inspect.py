@@ -57,6 +57,7 @@ def flown():
     return inspect(mission, problem=problem_of(mission), first=tour())
 
 
+@pytest.mark.slow  # the journey of the command is in test_commands
 def test_all_of_a_box_is_seen_without_touching_it(flown):
     assert flown.outcome == "all seen", flown.why
     assert flown.audit.contact is Contact.NO
@@ -71,6 +72,7 @@ def test_all_of_a_box_is_seen_without_touching_it(flown):
     assert np.mean(np.linalg.norm(flown.record.velocity, axis=1)[30:] < 0.005) < 0.2
 
 
+@pytest.mark.slow  # coverage by the files alone is in test_commands
 def test_frames_are_taken_each_period_from_the_records_true_places_and_show_what_a_box_shows(flown):
     record, rules, camera = flown.record, flown.rules, flown.scenario.camera
     assert [frame.time for frame in flown.frames] == [5.0 * n for n in range(len(flown.frames))]
@@ -91,6 +93,7 @@ def test_frames_are_taken_each_period_from_the_records_true_places_and_show_what
     assert np.arccos(cosines).max() <= camera.turn_rate * camera.period + 1e-7
 
 
+@pytest.mark.slow  # flies all of the test before
 def test_the_end_of_time_ends_the_same_flight_and_what_is_undecided_counts_in_the_figure(flown):
     """The end x = 2 m is undecided, though it can be seen: it is flown to, bit for bit, as if that were known."""
     patches, _ = patches_and_sight()

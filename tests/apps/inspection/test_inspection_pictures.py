@@ -38,6 +38,7 @@ def test_the_folder_holds_what_there_is_to_see(written, inspection):
     assert json.loads((folder / "summary.json").read_text()) == json.loads(json.dumps(summary))
 
 
+@pytest.mark.slow  # the command writes it in test_commands
 def test_the_list_of_what_was_not_seen_is_whole_and_adds_up(written, inspection):
     told = json.loads((written[0] / "unseen.json").read_text())
     assert len(told["patches"]) == (inspection.patches.counted & ~inspection.seen).sum()

@@ -21,6 +21,7 @@ def leading(box):
     return AroundMesh.of(scenario(), box)
 
 
+@pytest.mark.slow  # inspections are refused where the law does not lead
 def test_places_are_moved_by_little_and_to_where_the_law_leads(leading):
     generator = np.random.default_rng(0)
     for _ in range(8):

@@ -81,6 +81,7 @@ def test_less_is_asked_for_with_fewer_views_and_the_nearest_view_tour_proves_not
         assert tour == "nearest" or len(result.views) < len(whole.views)
 
 
+@pytest.mark.slow
 def test_the_plan_is_the_same_however_fast_the_clock_runs(box, whole, monkeypatch):
     begun, ticks = time.perf_counter(), itertools.count()
     monkeypatch.setattr(time, "perf_counter", lambda: 1e4 * (begun + next(ticks)))
@@ -119,6 +120,7 @@ def test_views_to_which_no_way_leads_are_left_out():
     assert all((np.abs(view.position) > HALF).any() for view in result.views)
 
 
+@pytest.mark.slow  # tours in a moving light are in test_light_tour
 def test_in_a_light_that_goes_round_each_view_is_flown_in_its_window():
     light = Round(Scenario(), (1, 0, 0), (0, 1, 0), 4000.0, lambda suns: (suns[:, 0] > 0.0) & (suns[:, 1] < 0.0))
     problem = replace(asked(), light=light)
@@ -134,6 +136,7 @@ def test_in_a_light_that_goes_round_each_view_is_flown_in_its_window():
             assert lit_units(problem.sight, problem.rules, light.suns([now])[0])[view.units].all()
 
 
+@pytest.mark.slow  # tours in a moving light are in test_light_tour
 def test_in_low_orbit_all_that_is_ever_lit_is_planned_for_that_which_is_lit_for_minutes_too():
     """The sun goes round once in 5677 s, and is hidden from 20° below the horizon on."""
     light = Round(Scenario(), (0, 0, -1), (-1, 0, 0), 5677.0, lambda suns: suns[:, 2] > math.sin(math.radians(20.0)))

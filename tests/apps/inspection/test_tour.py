@@ -107,6 +107,7 @@ def test_a_move_gains_what_the_order_costs_less(seed, count, stops):
         before = after
 
 
+@pytest.mark.slow  # small tours are held against all orders
 @pytest.mark.long
 def test_a_tour_of_many_places_is_between_the_least_tree_and_the_nearest_first_and_not_made_worse():
     generator = np.random.default_rng(4)

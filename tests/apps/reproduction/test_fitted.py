@@ -38,6 +38,7 @@ def weights(model):
     return [np.asarray(leaf) for leaf in jax.tree.leaves(model.field.layers)]
 
 
+@pytest.mark.slow  # other work that is gone on with is in test_work
 def test_a_fit_that_was_stopped_goes_on_to_the_same_field(target, fitted_once, tmp_path):
     def stop(_fraction: float, message: str) -> None:
         if message.startswith("distance"):

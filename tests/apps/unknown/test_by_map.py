@@ -215,6 +215,7 @@ def flight():
     return SimpleNamespace(record=record, plans=plans)
 
 
+@pytest.mark.slow  # the journey of the command is in test_commands
 def test_a_chaser_sees_its_way_to_a_goal_within_the_ball_and_never_touches(flight):
     record, done = flight.record, np.asarray(mode(jnp.asarray(flight.record.guard_status)))
     assert np.linalg.norm(record.position[-1] - LEGS[-1]) < 0.2
@@ -235,6 +236,7 @@ def test_a_chaser_sees_its_way_to_a_goal_within_the_ball_and_never_touches(fligh
     assert verdict.minimum_clearance > 0.3
 
 
+@pytest.mark.slow  # flies all of the test before
 def test_every_plan_stays_certified_and_the_disturbance_estimate_does_not_jump_where_goal_and_map_change(flight):
     assert len(flight.plans) > 10
     assert all(before and after for before, after in flight.plans[1:])

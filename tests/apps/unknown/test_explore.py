@@ -42,6 +42,7 @@ def to_goal():
     return explore(scenario(**HARD), target=crate())
 
 
+@pytest.mark.slow  # the journey of the command is in test_commands
 @pytest.mark.long
 def test_a_goal_behind_an_unknown_body_is_reached_without_touching_it(to_goal):
     assert to_goal.outcome == "reached goal", to_goal.why

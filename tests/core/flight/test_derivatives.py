@@ -74,7 +74,7 @@ FEW = "tracking gain", "true mass", "start", "amplitude", "offset"
 @pytest.mark.parametrize(
     ("chosen", "names"),
     [
-        pytest.param({}, tuple(NUMBERS), marks=pytest.mark.long),
+        pytest.param({}, tuple(NUMBERS), marks=pytest.mark.slow),
         # tests/core/control/test_guidance.py has the derivative of the guidance alone
         pytest.param({"guidance": Geodesic(spacing=0.4)}, (*FEW, "start's height"), marks=pytest.mark.slow),
         pytest.param(

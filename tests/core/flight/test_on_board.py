@@ -283,6 +283,7 @@ def told(samples, time):
     return [(time, one.value) if one.came else None for one in samples]
 
 
+@pytest.mark.slow  # without pulses in the test before
 def test_forces_and_on_times_are_those_of_the_loop(navigator, flown):
     estimate, steps = flown
     assert navigator.one_kernel

@@ -66,7 +66,8 @@ def test_what_cannot_be_flown_is_refused(base, entries, said):
         assert part in str(refusal.value)
 
 
-@pytest.mark.parametrize("delay", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow  # the state ahead of a delay is in core/control/test_controller
+@pytest.mark.parametrize("delay", [1, 3])
 def test_a_law_told_of_the_delay_estimates_the_disturbance_and_arrives(delay):
     motion, goal = RelativeMotion(Orbit(42_164_000.0)), np.array([0.0, -6.0, 0.0])
     push, field = np.array([0.01, -0.008, 0.006]), SphereField(jnp.zeros(3), jnp.asarray(2.0))

@@ -27,6 +27,7 @@ def test_the_pinball_reading_learns_the_distance(pinball, target, solid):
     assert surface_errors(pinball.field, target, count=20_000).epsilon < 0.3
 
 
+@pytest.mark.slow  # a finding, told by the results
 def test_the_printed_loss_lets_the_field_sink(pinball, target, solid):
     """L_P = (κ-1) max(e, 0) does not mind understatement: only the eikonal term holds the field up."""
     printed = fit(target, profile=shortened("paper_printed"), solid=solid)

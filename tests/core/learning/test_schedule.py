@@ -167,7 +167,7 @@ def test_a_first_field_is_the_same_function_in_the_coordinates_of_another_mesh()
         layers_of(grid, domain, numbers)
 
 
-@pytest.mark.long
+@pytest.mark.slow  # by the bound, and with another field, in test_commands
 def test_a_fit_ends_by_bound_or_time_and_begins_with_another_field(box, monkeypatch):
     generous = fit(box, profile=FEW, until_bound=1e3)
     assert generous.training["ended"] == "bound"

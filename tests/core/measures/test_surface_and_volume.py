@@ -151,6 +151,7 @@ def test_a_grown_ellipsoid_against_a_grown_polyhedron():
     assert grown_ellipsoid_volume(ball, 0.5) == pytest.approx(ball_volume(2.5), rel=1e-12)
 
 
+@pytest.mark.slow  # measured as a command in test_commands
 def test_a_ball_measured_against_itself_and_against_a_larger_one(solid):
     levels = [(0.0, 0.03), (0.0, 0.4), (0.5, 0.5)]
     same, larger, grown = measure_volumes(sphere(1.0), solid, levels, steepest=1.0, leaf=0.05, seed=1)

@@ -120,6 +120,7 @@ def test_earliest_times_follow_from_what_is_said():
     assert Scenario.parse(scenario.model_dump()) == scenario
 
 
+@pytest.mark.slow  # refusals of legs are above
 @pytest.mark.long
 def test_a_check_knows_the_legs(mission):
     checked = check(mission.scenario, target=mission.target, model=mission.model)

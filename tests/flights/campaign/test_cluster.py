@@ -273,6 +273,7 @@ def test_a_scheduler_that_does_not_answer_is_named_and_nothing_to_fly_asks_nobod
     assert flown(flyer_on("tcp://127.0.0.1:1"), []) == []
 
 
+@pytest.mark.slow  # a torn or foreign part is flown again in test_campaign
 def test_a_chunk_flown_twice_is_written_as_if_once(tmp_path):
     def twice(plan, numbers, told):
         for number in numbers:

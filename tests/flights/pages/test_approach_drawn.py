@@ -122,6 +122,7 @@ def test_axes_turn_in_the_replay_as_they_do_for_the_audit(scenario, record):
     assert np.abs(drawn[-1] - drawn[0]).max() > 0.1
 
 
+@pytest.mark.slow  # parts of the page are looked at in the tests beside it
 @pytest.mark.long
 def test_the_page_tells_of_legs_and_of_the_speed_allowed(replay):
     page = ReplayPage.read(replay)
@@ -147,6 +148,7 @@ def test_who_stays_at_a_hold_has_not_reached_the_goal(record):
     assert "reached" not in {mark.kind for mark in marks(held, there, there, 0.1, ["hold", "goal"])}
 
 
+@pytest.mark.slow  # bodies of zones are held where the audit judges them
 @pytest.mark.long
 def test_zones_stand_and_go_in_a_browser(replay):
     with shown(replay) as page:
@@ -169,6 +171,7 @@ def test_zones_stand_and_go_in_a_browser(replay):
         assert list(standing(10.0)) == ["ball", "sun"]
 
 
+@pytest.mark.slow  # a surface lies on its level in test_scene
 @pytest.mark.long
 def test_the_guards_surface_is_cut_from_its_field_without_zones(folder, scenario, record):
     model = FieldModel.load(folder / "box.keepout")

@@ -60,6 +60,7 @@ def made_of(flown, tapes):
     return eqx.filter_jit(eqx.filter_vmap(lambda z: flown.tape.flown(flown.mission.setup, z)))(jnp.asarray(tapes))
 
 
+@pytest.mark.slow  # the laws of each fault are in core/guard/test_faults
 @pytest.mark.long
 def test_the_numbers_of_a_tape_have_the_laws_of_the_faults(flown):
     tapes = np.random.default_rng(0).standard_normal((1500, flown.tape.numbers))
@@ -105,6 +106,7 @@ def test_a_tape_without_errors_is_the_flight_without_faults():
     assert np.allclose(flight.record.force, log.force, atol=1e-9)
 
 
+@pytest.mark.slow  # a flight alone and in a batch is the same in core/flight/test_batches
 @pytest.mark.as_used
 @pytest.mark.long
 def test_the_clearance_is_the_audits_and_knows_no_company(flown):

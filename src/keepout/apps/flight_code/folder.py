@@ -5,17 +5,15 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from keepout.apps.flight_code import c_text
 from keepout.apps.flight_code.missions import Coded, coded, require_entries
-from keepout.core.control.law import Command
 from keepout.core.errors import ExchangeError
 from keepout.core.fields.field import values
-from keepout.core.flight import loop
+from keepout.core.flight.on_board import OnBoard, Order
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.motion.relative import MotionState
@@ -26,8 +24,6 @@ STEPS = 64
 """Stored in the self-test."""
 _BLIND, _JUMP = (20, 21), 40
 """Of these the steps at which the estimate is not a number, and the one at which it jumps half a metre."""
-VECTORS = ("force", "commanded_force", "desired_velocity", "safe_velocity", "disturbance_estimate")
-NUMBERS = ("barrier", "backstepping_barrier", "lyapunov")
 
 
 def write_flight_code(
@@ -99,25 +95,28 @@ def _network_bytes(made: Coded) -> int:
     return 0 if layers is None else sum(4 * np.size(array) for array in jax.tree.leaves(layers))
 
 
-@eqx.filter_jit
-def _command(setup: Any, law: Any, guard: Any, estimate: MotionState) -> Any:
-    return loop.command(setup, law, guard, estimate)
-
-
-def stored_steps(made: Coded) -> tuple[list[MotionState], list[tuple[Any, Command, Any]]]:
-    """Fly steps in Python as the code flies them: what each is told, and its force, command and status.
+def stored_steps(made: Coded) -> tuple[list[MotionState], list[Order]]:
+    """Fly steps in Python as the code flies them: what each is told, and what it answers.
 
     They begin half a minute before the flight is nearest to the target. Estimates are wrong within what the guard is
     declared; two are no numbers, one jumps.
     """
-    mission = made.mission
-    log = loop.fly(mission.setup, mission.initial, mission.steps, jax.random.key(mission.scenario.seed))
-    place = max(int(np.argmin(values(made.law.velocity.field, np.asarray(log.position)))) - STEPS // 2, 0)
-    rows = {
-        name: getattr(log, name)[place] for name in ("time", "position", "velocity", "attitude", "angular_velocity")
-    }
-    state = MotionState(**rows)
-    law, guard = loop.memories(mission.setup, state)
+    mission, setup, states = made.mission, made.mission.setup, [made.mission.initial]
+    board = OnBoard(setup, mission.initial)
+
+    @jax.jit
+    def moved(state: MotionState, force: Any) -> MotionState:
+        return setup.motion.step(state, force, setup.disturbance, setup.period, setup.mass)
+
+    def stepped(estimate: MotionState) -> Any:
+        parts = (estimate.position, estimate.velocity, estimate.attitude, estimate.angular_velocity)
+        return board.step(float(estimate.time), *(np.asarray(part) for part in parts))
+
+    for _ in range(mission.steps):
+        states.append(moved(states[-1], stepped(states[-1])))
+    away = values(made.law.velocity.field, np.array([state.position for state in states]))
+    state = states[max(int(np.argmin(away)) - STEPS // 2, 0)]
+    board.restart(state, under_way=[])
     rng, told, answered = np.random.default_rng(0), [], []
     entry = mission.scenario.guard
     for number in range(STEPS):
@@ -126,16 +125,11 @@ def stored_steps(made: Coded) -> tuple[list[MotionState], list[tuple[Any, Comman
         estimate = state.moved(*noise)
         if number in _BLIND:
             estimate = dataclasses.replace(estimate, position=jnp.full(3, jnp.nan))
-        law, guard, order, force, status = _command(mission.setup, law, guard, estimate)
+        force = stepped(estimate)
         told.append(jax.tree.map(np.asarray, estimate))
-        answered.append(jax.tree.map(np.asarray, (force, order, status)))
-        state = _moved(mission.setup, state, force)
+        answered.append(board.order)
+        state = moved(state, force)
     return told, answered
-
-
-@eqx.filter_jit
-def _moved(setup: Any, state: MotionState, force: Any) -> MotionState:
-    return setup.motion.step(state, force, setup.disturbance, setup.period, setup.mass)
 
 
 def _header(said: str, *lines: str) -> bytes:
@@ -154,7 +148,7 @@ def _selftest(made: Coded) -> bytes:
         *[f"    {_estimate(state)}," for state in told],
         "};",
         f"static const keepout_order selftest_orders[{STEPS}] = {{",
-        *[f"    {_order(*answer)}," for answer in answered],
+        *[f"    {{{', '.join(c_text.value_text(part) for part in order)}}}," for order in answered],
         "};",
     )
 
@@ -170,12 +164,6 @@ def _begin(made: Coded, image: int) -> bytes:
 
 def _estimate(state: MotionState) -> str:
     parts = (state.time, state.position, state.velocity, state.attitude, state.angular_velocity)
-    return "{" + ", ".join(c_text.value_text(part) for part in parts) + "}"
-
-
-def _order(force: Any, order: Command, status: Any) -> str:
-    vectors = [force] + [getattr(order, "force" if name == "commanded_force" else name) for name in VECTORS[1:]]
-    parts = [*vectors, *(getattr(order, name) for name in NUMBERS), int(order.status), int(status)]
     return "{" + ", ".join(c_text.value_text(part) for part in parts) + "}"
 
 
