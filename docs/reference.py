@@ -27,14 +27,13 @@ SCENARIO = """\
 
 This page answers whoever writes a scenario file: which entries there are, what each means, and which values it takes.
 
-- A line begins with an entry and its default in TOML, as it can stand below its table's header; `--set` and refusals
-  say `guard.delay`. Numbers are in SI units, angles in radians. Words that a meaning names as values stand in quotes.
-- A number with a default and without bounds behind it must be > 0, or ≥ 0 where its default is 0.
-- An empty file is valid: it is the source paper's Case 1. An entry without a default is unset unless it is given. It
-  must be given where the line says *needed*.
+- A line begins with an entry and its default in TOML (angles rounded), as it can stand below its table's header; `--set`
+  and refusals say `guard.delay`. Units are SI, angles radians. Words that a meaning names as values stand in quotes.
+- A vector is three numbers, in the target's body frame where nothing else is said.
+- A number must be > 0, or ≥ 0 where its default is 0, unless the brackets say otherwise; *any* may be negative.
+- An empty file is valid: it is the source paper's Case 1. An entry without a default is unset, and must be given where
+  the line says *needed*.
 - The sentence below a header leads to the page on the table's use.
-
-`python docs/reference.py` writes this page.
 """
 SEE = {
     "target": "my-mesh",
@@ -63,6 +62,8 @@ SEE = {
     "inspect": "inspection",
 }
 """The page on which a table is used."""
+USUAL_AXES = ", body axes"
+"""Said once for the page."""
 INNER: Mapping[str, Sequence[tuple[str, type[Entry]]]] = {
     "thrusters": [("[thrusters.own]", ThrusterEntry)],
     "campaign": [('campaign.dispersions."ENTRY"', DispersionEntry)],
@@ -103,15 +104,16 @@ def range_of(spec: Mapping[str, Any]) -> str:
     if "anyOf" in spec:
         return " or ".join(dict.fromkeys(filter(None, (range_of(one) for one in spec["anyOf"]))))
     if "enum" in spec or "const" in spec:
-        return ", ".join(f"`{json.dumps(word)}`" for word in spec.get("enum", [spec.get("const")]))
+        return f"`{', '.join(json.dumps(word) for word in spec.get('enum', [spec.get('const')]))}`"
     kind = spec.get("type")
     if kind in ("integer", "number"):
-        return interval(spec) + (" whole" if kind == "integer" and "anyOf" in spec else "")
+        return ", ".join(filter(None, ("whole" * (kind == "integer"), interval(spec)))) or "any"
     if kind == "array" and "prefixItems" in spec:
         inner = spec["prefixItems"][0]
         if inner.get("type") == "array" or "anyOf" in inner:
-            return "3 rows of 3 numbers" if inner.get("type") == "array" else "2 numbers or 2 vectors"
-        return f"{len(spec['prefixItems'])} numbers {interval(inner)}".rstrip()
+            return "3 vectors" if inner.get("type") == "array" else "2 numbers or 2 vectors"
+        length = len(spec["prefixItems"])
+        return f"{'vector' if length == 3 else f'{length} numbers'} {interval(inner)}".rstrip()
     return ""
 
 
@@ -125,13 +127,17 @@ def interval(spec: Mapping[str, Any]) -> str:
 
 
 def number(value: float) -> str:
-    """Write a bound: exactly where it is a whole number, else with four digits."""
-    return str(int(value)) if value == int(value) and value % 1e6 else f"{value:.4g}".replace("e+0", "e")
+    """Write a number: exactly where it is a whole number, else with four digits."""
+    if value == int(value):
+        return str(int(value)) if value % 1e6 or not value else f"{value:.4g}".replace("e+0", "e").replace("e+", "e")
+    return f"{value:.4g}"
 
 
 def toml(value: Any) -> str:
-    """Write a default as TOML."""
-    return json.dumps(value, ensure_ascii=False)
+    """Write a default as TOML, in as few digits as its reader needs; a whole number is a number there."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(toml(part) for part in value)}]"
+    return number(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
 def entry_head(name: str, field: FieldInfo) -> str:
@@ -145,27 +151,37 @@ def values_of(field: FieldInfo, spec: Mapping[str, Any]) -> str:
     values, said = range_of(spec), field.description or ""
     unset = field.is_required() or field.get_default(call_default_factory=True) is None
     words = [word.strip('`"') for word in values.split(", ")]
-    if (values.startswith("`") and all(word in said for word in words)) or (values.endswith("numbers") and not unset):
+    if unset and values == "> 0":
+        values = ""
+    if (values.startswith("`") and all(word in said for word in words)) or (values in ("vector", "2 numbers", "3 vectors") and not unset):
         values = ""
     if not unset and spec.get("type") in ("integer", "number"):
         usual = "> 0" if field.get_default() else "≥ 0"
-        values = "" if values == usual else values or "any"
+        values = "" if values == usual else values
     values = "; ".join(filter(None, ("needed" if field.is_required() else "", values)))
     return f" ({values})" if values else ""
 
 
+def holds_tables(annotation: Any) -> bool:
+    """Whether an entry is a table or an array of tables, which have sections of their own."""
+    return is_table(annotation) or (get_origin(annotation) is tuple and is_table(get_args(annotation)[0]))
+
+
 def table_lines(title: str, table: type[Entry]) -> Iterator[str]:
-    """Give the section of one table; of its entries those that are no tables themselves, alike ones in one line."""
+    """Give the section of one table; of its entries those that hold no tables, alike ones in one line."""
     page = SEE.get(title)
     said = (table.__doc__ or "").splitlines()[0]
     place = page if page is None or ".md" in page else f"{page}.md"
-    yield from (f"## [{title}]", "", f"[{said}]({place})" if place else said, "")
+    said = said.replace(USUAL_AXES, "")
+    yield from (f"## [{title}]", "")
+    if table is not Scenario:
+        yield from (f"[{said}]({place})" if place else said, "")
     properties = table.model_json_schema()["properties"]
-    entries = [(key, field) for key, field in table.model_fields.items() if not is_table(field.annotation)]
+    entries = [(key, field) for key, field in table.model_fields.items() if not holds_tables(field.annotation)]
     for (meaning, values), alike in groupby(
         entries, key=lambda entry: (entry[1].description, values_of(entry[1], properties[entry[0]]))
     ):
-        yield f"- {', '.join(entry_head(*entry) for entry in alike)}{values}: {meaning}"
+        yield f"- {', '.join(entry_head(*entry) for entry in alike)}{values}: {meaning.replace(USUAL_AXES, '')}"
     yield ""
 
 
@@ -174,7 +190,7 @@ def scenario_page() -> str:
     lines = [SCENARIO]
     lines += [line.replace("## [scenario]", "## No table") for line in table_lines("scenario", Scenario)]
     for key, field in Scenario.model_fields.items():
-        if get_origin(field.annotation) is tuple and is_table(get_args(field.annotation)[0]):
+        if holds_tables(field.annotation) and not is_table(field.annotation):
             lines += table_lines(f"[{key}]", get_args(field.annotation)[0])
     for name, told in entries_and_tables():
         if not isinstance(told, FieldInfo):
