@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from typer.core import TyperArgument
 
 from keepout import cli
-from keepout.core.mission.entries import Entry, ThrusterEntry
+from keepout.core.mission.entries import Entry, TargetEntry, ThrusterEntry
 from keepout.core.mission.scenario import Scenario, entries_and_tables, is_table
 from keepout.core.mission.task_entries import DispersionEntry, HoldPointEntry, ProtectedEntry
 
@@ -27,7 +27,7 @@ SCENARIO = """\
 
 This page answers whoever writes a scenario file: which entries there are, what each means, and which values it takes.
 
-- A line begins with an entry and its default in TOML (angles rounded), as it can stand below its table's header; `--set`
+- A line begins with an entry and its default in TOML (angles rounded), as it stands below its table's header; `--set`
   and refusals say `guard.delay`. Units are SI, angles radians. Words that a meaning names as values stand in quotes.
 - A vector is three numbers, in the target's body frame where nothing else is said.
 - A number must be > 0, or ≥ 0 where its default is 0, unless the brackets say otherwise; *any* may be negative.
@@ -75,28 +75,30 @@ COMMANDS = """\
 # Command line
 
 This page answers whoever looks for a command, an option or an exit code. `keepout COMMAND --help` says the same, with
-examples. `python docs/reference.py` writes this page from the commands.
+examples.
 
 | exit code | meaning |
 | --- | --- |
-| 0 | The command did its work. A contact is no failure: it stands in the results. |
+| 0 | The command did its work. A contact or an audit's verdict is no failure: it stands in the results. |
 | 1 | The command refused, or the work failed. One line on standard error says why, and what would be valid. |
 | 2 | The command line is not valid: an unknown option, or a value out of its range. |
-| 3 | The work is done and written, and its results do not meet the scenario's `[require]`. |
+| 3 | The work is done, and its results do not meet the scenario's `[require]`. |
 | 130 | The command was interrupted. `fit`, `campaign`, `rare` and `reproduce` go on when they are started again. |
 
 ## Common options
 
-An option with `=` takes a value; its default, if it has one, stands behind. Each command has the first two options, and
-all but `scenario schema` have `--json`. The last line of a command names the others that it has.
+An option with `=` takes a value; its default, if it has one, stands behind. `-o` is `--out`. The last line of a command
+names those of these options that it has. Each has the first two, and all but `scenario schema` have `--json`.
 
-- `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met.
-- `--log=`: Add all that is said, with times, to this file.
-- `--json`: Print one JSON object, whose keys are in [Files and figures](files.md), on standard output, and all else on
-  standard error.
+- `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met
+- `--log=`: Add all that is said, with times, to this file
+- `--json`: Print one JSON object ([its keys](files.md)) on standard output, and all else on standard error
 """
 LEFT_OUT = {"help", "quiet", "log", "as_json"}
 """Options that every command has."""
+OF_TARGET = {key.replace("_", "-") for key in TargetEntry.model_fields}
+SAID_ABOVE = ("Exit code", "A killed run")
+"""Paragraphs of a command's help that begin so are in the table of exit codes."""
 
 
 def range_of(spec: Mapping[str, Any]) -> str:
@@ -153,7 +155,8 @@ def values_of(field: FieldInfo, spec: Mapping[str, Any]) -> str:
     words = [word.strip('`"') for word in values.split(", ")]
     if unset and values == "> 0":
         values = ""
-    if (values.startswith("`") and all(word in said for word in words)) or (values in ("vector", "2 numbers", "3 vectors") and not unset):
+    told = values.startswith("`") and all(word in said for word in words)
+    if told or (values in ("vector", "2 numbers", "3 vectors") and not unset):
         values = ""
     if not unset and spec.get("type") in ("integer", "number"):
         usual = "> 0" if field.get_default() else "≥ 0"
@@ -222,7 +225,8 @@ def option_line(option: Any, context: typer.Context) -> str:
     if option.is_flag:
         notes += [f"default `--{default}`"] * bool(default)
     elif option.metavar is None:
-        written = f"{', '.join(reversed(option.opts))}" + (" X Y Z" if option.nargs == 3 else f"={default}")
+        written = option.opts[-1] + (" X Y Z" if option.nargs == 3 else f"={default}")
+    written = written.replace("-o, --out", "-o")
     return f"- `{written}`" + (f" ({', '.join(notes)})" if notes else "") + f": {said}"
 
 
@@ -231,18 +235,23 @@ def commands_page() -> str:
     described: list[tuple[str, str, dict[str, str]]] = []
     for name, command in commands_of(typer.main.get_command(cli.app), "keepout"):
         context = typer.Context(command)
-        said = [part for part in (command.help or "").split("\n\n") if not part.startswith("Exit code 3")]
+        said = [part for part in (command.help or "").split("\n\n") if not part.startswith(SAID_ABOVE)]
         options = {
             option.name.upper() if isinstance(option, TyperArgument) else option.opts[-1]: option_line(option, context)
             for option in command.params
             if option.name not in LEFT_OUT
         }
+        placed = [key for key in options if key.removeprefix("--target-") in OF_TARGET]
+        written = [options.pop(key).partition(": ")[0].removeprefix("- ") for key in placed]
+        if placed:
+            options["placed"] = f"- {', '.join(written)}: As the entry of this name in [[target]](scenario.md#target)"
         described.append((name, " ".join(" ".join(said).split()), options))
     count = Counter(line for *_, options in described for line in options.values())
-    lines = [COMMANDS.rstrip(), *(line for line in count if count[line] > 2), ""]
+    shared = [line for line in count if count[line] > (2 if line.startswith("- `-o") else 1)]
+    lines = [COMMANDS.rstrip(), *shared, ""]
     for name, said, options in described:
-        common = [f"`{option}`" for option, line in options.items() if count[line] > 2]
-        lines += [f"## {name}", "", said, "", *(line for line in options.values() if count[line] < 3)]
+        common = [f"`{line.split()[1].strip('`:').removesuffix('=')}`" for line in options.values() if line in shared]
+        lines += [f"## {name}", "", said, "", *(line for line in options.values() if line not in shared)]
         lines += [f"- {', '.join(common)}"] * bool(common) + [""]
     return "\n".join(lines).rstrip() + "\n"
 
