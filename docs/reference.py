@@ -27,13 +27,14 @@ SCENARIO = """\
 
 This page answers whoever writes a scenario file: which entries there are, what each means, and which values it takes.
 
-- A line begins with an entry and its default in TOML (angles rounded), as it stands below its table's header; `--set`
+- A line begins with an entry and its default in TOML (angles rounded), as it stands below the header `[guard]`; `--set`
   and refusals say `guard.delay`. Units are SI, angles radians. Words that a meaning names as values stand in quotes.
 - A vector is three numbers, in the target's body frame where nothing else is said.
 - A number must be > 0, or ≥ 0 where its default is 0, unless the brackets say otherwise; *any* may be negative.
 - An empty file is valid: it is the source paper's Case 1. An entry without a default is unset, and must be given where
   the line says *needed*.
-- The sentence below a header leads to the page on the table's use.
+- A header is a table's name, in double brackets that of an array of tables. It, or the sentence below it, leads to the
+  page on the table's use.
 """
 SEE = {
     "target": "my-mesh",
@@ -62,6 +63,9 @@ SEE = {
     "inspect": "inspection",
 }
 """The page on which a table is used."""
+PLAIN = {"scenario", "target", "field", "chaser", "thrusters", "safety", "guard", "control", "orbit", "navigation"}
+PLAIN |= {"goal", "approach", "rare", "explore", "light", "inspect"}
+"""Tables whose names say what they are for."""
 USUAL_AXES = ", body axes"
 """Said once for the page."""
 INNER: Mapping[str, Sequence[tuple[str, type[Entry]]]] = {
@@ -175,9 +179,10 @@ def table_lines(title: str, table: type[Entry]) -> Iterator[str]:
     page = SEE.get(title)
     said = (table.__doc__ or "").splitlines()[0]
     place = page if page is None or ".md" in page else f"{page}.md"
-    said = said.replace(USUAL_AXES, "")
-    yield from (f"## [{title}]", "")
-    if table is not Scenario:
+    header = f"[{title}]" if title.startswith("[") else title
+    yield from (f"## [{title}]({place})" if place and title in PLAIN else f"## {header}", "")
+    if title not in PLAIN:
+        said = said.replace(USUAL_AXES, "")
         yield from (f"[{said}]({place})" if place else said, "")
     properties = table.model_json_schema()["properties"]
     entries = [(key, field) for key, field in table.model_fields.items() if not holds_tables(field.annotation)]
@@ -191,7 +196,7 @@ def table_lines(title: str, table: type[Entry]) -> Iterator[str]:
 def scenario_page() -> str:
     """Give the page of all scenario entries."""
     lines = [SCENARIO]
-    lines += [line.replace("## [scenario]", "## No table") for line in table_lines("scenario", Scenario)]
+    lines += [line.replace("## scenario", "## No table") for line in table_lines("scenario", Scenario)]
     for key, field in Scenario.model_fields.items():
         if holds_tables(field.annotation) and not is_table(field.annotation):
             lines += table_lines(f"[{key}]", get_args(field.annotation)[0])

@@ -34,7 +34,7 @@ class LegEntry(Entry):
         name: In tables, plots and refusals; unset: the number.
         position: Hold point, m.
         axes: Of `position`: body, or vvlh, if the target stands still in it.
-        tolerance: The chaser is at the hold point while it is closer than this, m.
+        tolerance: The chaser is there while it is closer than this, m.
         dwell: How long it stays there without a break, s.
         until: "go": it flies on only at this word, on board the caller's, in simulation at `go_at`.
         go_at: When "go" is said in simulation, s; `until` needs it.
@@ -65,7 +65,7 @@ class ZoneEntry(Entry):
 
     Attributes:
         name: In tables, plots and refusals; unset: the number.
-        shape: Cylinder and cone go from `centre` along `axis`; a cone ends as a part of a sphere.
+        shape: Cylinder and cone go from `centre` along `axis`; a cone ends in a sphere's part.
         centre: Of a sphere, ellipsoid, cylinder's first face, or the apex of a cone, m.
         radius: Of a sphere or cylinder, m.
         semi_axes: Of an ellipsoid, m.
@@ -73,9 +73,9 @@ class ZoneEntry(Entry):
         axis: Of a cylinder or cone, any length.
         half_angle: From a cone's axis to its side, rad.
         length: Of a cylinder or cone, m.
-        axes: Axes of these numbers, about the body frame's origin: body, vvlh, or inertial (ECI).
+        axes: Of these numbers, about the body frame's origin: body, vvlh, or inertial (ECI).
         start: From when the zone stands, s.
-        until: Until when it stands, s, or "go": until that is said to the first leg that waits for it; unset: for ever.
+        until: Until when it stands, s, or "go", said to the first leg that waits for it; unset: for ever.
 
     """
 

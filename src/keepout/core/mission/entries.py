@@ -118,7 +118,7 @@ class TargetEntry(Entry):
         units: Length unit of the file; unset: metres, or what the file says.
         scale: Metres per unit of the file, in place of `units`.
         drop_stray: Whether parts far from the rest are left out.
-        thickness: Diameter of the ball at each point of a point cloud, m; needed there.
+        thickness: Diameter of the ball at each point of a point cloud, which needs it, m.
         rotation: Rows of the rotation from file axes to body axes.
         origin: The body frame's origin in file axes, m.
         centre_of_mass: Its place, body axes, m: it orbits, and the target turns about it.
@@ -173,7 +173,7 @@ class SafetyEntry(Entry):
     """Room that is kept beside the proved distance.
 
     Attributes:
-        margin: The operator's own margin, m.
+        margin: The operator's own margin beside what is proved, m.
 
     """
 
@@ -207,8 +207,8 @@ class FaultsEntry(Entry):
 
     Attributes:
         law: In the law's place: full thrust into the body; straight through to the goal at twice the speed limit;
-            random forces; bang-bang, full thrust in random corners for 15 periods each; not a number in every 15th
-            command; none.
+            random forces; bang-bang, full thrust in random corners for 15 periods; not a number in every 15th command;
+            none.
         position_bias, velocity_bias: Length of a constant error of the estimate, in a random direction, m, m/s.
         position_noise, velocity_noise: Largest error of the estimate, drawn anew each period, m, m/s.
         position_noise_std, velocity_noise_std: Standard deviation of an unbounded Gaussian error of each axis, m, m/s.
@@ -367,7 +367,7 @@ class AttitudeEntry(Entry):
     """How the target turns; all but `kind` is for tumbling.
 
     Attributes:
-        kind: Fixed to the orbital frame (vvlh) or the stars (inertial), or turning freely (tumbling).
+        kind: Fixed to vvlh or inertial axes, or tumbling freely.
         angular_velocity: Inertial, at the start, body axes, rad/s.
         inertia: Of the target, body axes, kg m2.
         gravity_gradient: Whether the Earth's gravity turns the target.
@@ -390,8 +390,8 @@ class DisturbanceEntry(Entry):
     """The force that nobody commanded, body axes.
 
     Attributes:
-        kind: none; paper, 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; constant; bang-bang, which changes sign every 50
-            s; resonant, which does at every control step; random, smooth noise from the seed.
+        kind: none; paper, 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; constant; bang-bang, changing sign every 50 s;
+            resonant, at every control step; random, smooth noise.
         force: The force that `constant` needs, N.
         amplitude: Largest norm, N; `bang-bang`, `resonant` and `random` need it.
         phase: Added to that of every sinusoid, or lead of the square wave, 2π a period, rad.
@@ -471,11 +471,11 @@ class ThrustersEntry(Entry):
         own: The thrusters of a layout of your own.
         force: Of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
         least_on_time: Shortest pulse, s; less than half of it is not fired.
-        modulation: pulse-width, or delta-sigma, whose later pulses make up for errors of earlier ones.
+        modulation: pulse-width, or delta-sigma, whose pulses make up for earlier ones' errors.
         specific_impulse: In s; cold nitrogen has 70, hydrazine 220.
         rise_delay: Time by which pulses begin and end late, s.
         misalignment: Largest angle of a force to its direction, drawn once a flight, rad.
-        scale_error: Largest relative error of a thruster's force, drawn once a flight.
+        scale_error: Largest relative error of a force, drawn once a flight.
         detection_time: From a thruster's sticking until the others are fired accordingly, s.
         survive_failure: Whether the guard covers one thruster stuck off or on; the others must give chaser.force_limit.
 
@@ -515,7 +515,7 @@ class NavigationEntry(Entry):
             the errors of `faults`.
         estimate: What the law flies by: a Kalman filter of motion and disturbance; the last samples and the law's
             observer; or raw samples.
-        position_noise, velocity_noise: Largest error of a sample of the suite close, m, m/s; unset: 0.05, 0.002.
+        position_noise, velocity_noise: Largest error of a sample of suite close, m, m/s; unset: 0.05, 0.002.
         dropout: Probability that a sample is lost; unset: the suite's.
         most_missed: Most samples lost in a row; unset: the suite's.
         initial_position_error, initial_velocity_error: Largest error of the first state, m, m/s; unset: the suite's

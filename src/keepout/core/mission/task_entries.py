@@ -43,7 +43,7 @@ class DispersionEntry(Entry):
         normal: [mean, standard deviation], cut off at `within`; of a vector: of each component.
         within: Standard deviations at which normal is cut off.
         choice: The values to choose from.
-        weights: How often each value of choice is drawn, relative; unset: all alike.
+        weights: How often each value is drawn, relative; unset: all alike.
         sphere: Length of a vector of any direction, or its [least, largest] length.
         centre: Vector that sphere's is added to.
 
@@ -114,8 +114,8 @@ class RequireEntry(Entry):
         time_s: Time by which the goal must be reached.
         reached: Whether the goal must be reached.
         zones: "proved": the audit proves that no zone was entered and no corridor left.
-        holds: Whether every leg's place must be held for its dwell, and reached in its window.
-        share: Share of a campaign's runs that must meet each, by the lower end of its 95 % interval; unset: every run.
+        holds: Whether every leg must be held for its dwell, and reached in its window.
+        share: Of a campaign's runs that must meet each, by the lower end of the 95 % interval; unset: all.
 
     """
 
@@ -149,8 +149,8 @@ class DepthSensorEntry(Entry):
         grazing_angle: Incidence beyond which a return is lost, which the sensor says, rad.
         turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and its change, rad/s².
         errors: random within their bounds, or adversarial: at the bounds with the worst signs.
-        broken: Promise that is broken: range or pose error of twice the bound; ranges mixed of near and far; losses
-            that look like no return; late: images of another time; none.
+        broken: Broken promise: range or pose error of twice the bound; mixed ranges of near and far; losses that look
+            like no return; late images, of another time; none.
 
     """
 
@@ -187,7 +187,7 @@ class MapEntry(Entry):
         centre: Of the ball that holds the whole target, body axes, m.
         radius: Of that ball, m; `keepout explore` needs it.
         spacing: Edge of the map's cubes, m.
-        cap: Greatest distance that the map tells apart, m, in whole spacings; unset: 1.5, rounded up to them.
+        cap: Greatest distance that the map tells apart, m, in whole spacings; unset: 1.5, rounded up.
         file: A .keepmap file to go on from.
 
     """
@@ -315,19 +315,19 @@ class InspectEntry(Entry):
         patch_size: Edge of the patches, each seen wholly or not at all, m; unset: 0.25; of a target beyond 80 m 1.0,
             below 2.5 m a tenth of it.
         coverage: Share of the area that can be seen and lit in time at which the flight ends.
-        tour: plan: the views that cover most, in the best order; nearest: the nearest view that shows something new;
+        tour: plan: the views that cover most, in the best order; nearest: the nearest view with something new;
             circumnavigation: natural motion round the target.
         objective: What the order of views makes least: time, delta_v, or both, time + delta_v_worth × Δv.
         delta_v_worth: Price of Δv in both, s per m/s.
         candidates: Most places considered for views.
         most_views: Most views in one plan.
         dwell: Stay at each view, s; 0: it flies on.
-        proof_squares: Most squares of directions that the proof of what can be seen looks at.
-        proof_time: Longest time of that proof, s; if it ends the proof, results say so and differ from machine to
-            machine; unset: none.
+        proof_squares: Most squares of directions in the proof of what can be seen.
+        proof_time: Longest time of that proof, s; where it ends the proof, results say so and differ from machine to
+            machine.
         passive_safety: How long a chaser that stops thrusting anywhere on its way touches nothing, s.
         plume_half_angle: From a plume's axis to its side, rad.
-        plume_range: Range beyond which a plume harms nothing, m; unset: it always does.
+        plume_range: Beyond it a plume harms nothing, m; unset: it always does.
         no_thrust_towards: Parts of the target that no plume may reach.
         hold_points: Places where the chaser is held first.
 
