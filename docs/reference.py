@@ -78,8 +78,8 @@ INNER: Mapping[str, Sequence[tuple[str, type[Entry]]]] = {
 COMMANDS = """\
 # Command line
 
-This page answers whoever looks for a command, an option or an exit code. `keepout COMMAND --help` says the same, with
-examples.
+This page answers whoever looks for a command of `keepout`, an option or an exit code. `keepout COMMAND --help` says the
+same, with examples.
 
 | exit code | meaning |
 | --- | --- |
@@ -91,8 +91,8 @@ examples.
 
 ## Common options
 
-An option with `=` takes a value; its default, if it has one, stands behind. `-o` is `--out`. The last line of a command
-names those of these options that it has. Each has the first two, and all but `scenario schema` have `--json`.
+An option with `=` takes a value; its default, if it has one, stands behind. `-o` is `--out`. A command's last line names
+those of these options that it has. All have the first two, and all but `scenario schema` have `--json`.
 
 - `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met
 - `--log=`: Add all that is said, with times, to this file
@@ -256,7 +256,7 @@ def commands_page() -> str:
     lines = [COMMANDS.rstrip(), *shared, ""]
     for name, said, options in described:
         common = [f"`{line.split()[1].strip('`:').removesuffix('=')}`" for line in options.values() if line in shared]
-        lines += [f"## {name}", "", said, "", *(line for line in options.values() if line not in shared)]
+        lines += [f"## {name.removeprefix('keepout ')}", "", said, "", *(line for line in options.values() if line not in shared)]
         lines += [f"- {', '.join(common)}"] * bool(common) + [""]
     return "\n".join(lines).rstrip() + "\n"
 
