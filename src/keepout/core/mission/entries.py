@@ -118,7 +118,7 @@ class TargetEntry(Entry):
         units: Length unit of the file; unset: metres, or what the file says.
         scale: Metres per unit of the file, in place of `units`.
         drop_stray: Whether parts far from the rest are left out.
-        thickness: Diameter of the ball at each point of a point cloud, which needs it, m.
+        thickness: Diameter of the ball at each point of a point cloud, m; needed there.
         rotation: Rows of the rotation from file axes to body axes.
         origin: The body frame's origin in file axes, m.
         centre_of_mass: Its place, body axes, m: it orbits, and the target turns about it.
@@ -142,7 +142,7 @@ class TargetEntry(Entry):
 
 
 class FieldEntry(Entry):
-    """The law's field.
+    """The field that the law flies by.
 
     Attributes:
         source: "shipped", learned, of a built-in target; "grid", exact distances, made when needed; or a .keepout file.
@@ -170,7 +170,7 @@ class ChaserEntry(Entry):
 
 
 class SafetyEntry(Entry):
-    """Room that is kept beside the proved distance.
+    """Room that is kept to the target.
 
     Attributes:
         margin: The operator's own margin beside what is proved, m.
@@ -217,7 +217,7 @@ class FaultsEntry(Entry):
         dropped: Probability that a command is lost and the last one goes on.
         gain_error: Each axis gives 1 ± this times its command, drawn once a flight.
         stuck: The ideal thruster that sticks, by the direction of its push.
-        stuck_force: Its force, N: 0 is stuck off, chaser.force_limit stuck on.
+        stuck_force: Force of a stuck ideal thruster, N: 0 is off, chaser.force_limit on.
         stuck_from: When a thruster sticks, s.
         abort_at: When the mission is abandoned as `approach.abort` says, s; unset: never.
         thruster: The thruster of a layout that sticks, counted from 0.
