@@ -91,8 +91,8 @@ same, with examples.
 
 ## Common options
 
-An option with `=` takes a value; its default, if it has one, stands behind. `-o` is `--out`. A command's last line names
-those of these options that it has. All have the first two, and all but `scenario schema` have `--json`.
+An option with `=` takes a value; its default, if it has one, stands behind. `-o` is `--out`. A command's last line
+names those of these options that it has. All have the first two, and all but `scenario schema` have `--json`.
 
 - `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met
 - `--log=`: Add all that is said, with times, to this file
@@ -189,7 +189,7 @@ def table_lines(title: str, table: type[Entry]) -> Iterator[str]:
     for (meaning, values), alike in groupby(
         entries, key=lambda entry: (entry[1].description, values_of(entry[1], properties[entry[0]]))
     ):
-        yield f"- {', '.join(entry_head(*entry) for entry in alike)}{values}: {meaning.replace(USUAL_AXES, '')}"
+        yield f"- {', '.join(entry_head(*entry) for entry in alike)}{values}: {(meaning or '').replace(USUAL_AXES, '')}"
     yield ""
 
 
@@ -256,7 +256,8 @@ def commands_page() -> str:
     lines = [COMMANDS.rstrip(), *shared, ""]
     for name, said, options in described:
         common = [f"`{line.split()[1].strip('`:').removesuffix('=')}`" for line in options.values() if line in shared]
-        lines += [f"## {name.removeprefix('keepout ')}", "", said, "", *(line for line in options.values() if line not in shared)]
+        lines += [f"## {name.removeprefix('keepout ')}", "", said, ""]
+        lines += [line for line in options.values() if line not in shared]
         lines += [f"- {', '.join(common)}"] * bool(common) + [""]
     return "\n".join(lines).rstrip() + "\n"
 
