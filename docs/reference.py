@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from typer.core import TyperArgument
 
 from keepout import cli
-from keepout.core.mission.entries import Entry, ThrusterEntry
+from keepout.core.mission.entries import Entry, TargetEntry, ThrusterEntry
 from keepout.core.mission.scenario import Scenario, entries_and_tables, is_table
 from keepout.core.mission.task_entries import DispersionEntry, HoldPointEntry, ProtectedEntry
 
@@ -27,14 +27,14 @@ SCENARIO = """\
 
 This page answers whoever writes a scenario file: which entries there are, what each means, and which values it takes.
 
-- A line begins with an entry and its default in TOML, as it can stand below its table's header; `--set` and refusals
-  say `guard.delay`. Numbers are in SI units, angles in radians. Words that a meaning names as values stand in quotes.
-- A number with a default and without bounds behind it must be > 0, or ≥ 0 where its default is 0.
-- An empty file is valid: it is the source paper's Case 1. An entry without a default is unset unless it is given. It
-  must be given where the line says *needed*.
-- The sentence below a header leads to the page on the table's use.
-
-`python docs/reference.py` writes this page.
+- A line begins with an entry and its default in TOML (angles rounded), as it stands below the header `[guard]`; `--set`
+  and refusals say `guard.delay`. Units are SI, angles radians. Words that a meaning names as values stand in quotes.
+- A vector is three numbers, in the target's body frame where nothing else is said.
+- A number must be > 0, or ≥ 0 where its default is 0, unless the brackets say otherwise; *any* may be negative.
+- An empty file is valid: it is the source paper's Case 1. An entry without a default is unset, and must be given where
+  the line says *needed*.
+- A header is a table's name, in double brackets that of an array of tables. It, or the sentence below it, leads to the
+  page on the table's use.
 """
 SEE = {
     "target": "my-mesh",
@@ -63,6 +63,11 @@ SEE = {
     "inspect": "inspection",
 }
 """The page on which a table is used."""
+PLAIN = {"scenario", "target", "field", "chaser", "thrusters", "safety", "guard", "control", "orbit", "navigation"}
+PLAIN |= {"goal", "approach", "rare", "explore", "light", "inspect"}
+"""Tables whose names say what they are for."""
+USUAL_AXES = ", body axes"
+"""Said once for the page."""
 INNER: Mapping[str, Sequence[tuple[str, type[Entry]]]] = {
     "thrusters": [("[thrusters.own]", ThrusterEntry)],
     "campaign": [('campaign.dispersions."ENTRY"', DispersionEntry)],
@@ -73,29 +78,31 @@ INNER: Mapping[str, Sequence[tuple[str, type[Entry]]]] = {
 COMMANDS = """\
 # Command line
 
-This page answers whoever looks for a command, an option or an exit code. `keepout COMMAND --help` says the same, with
-examples. `python docs/reference.py` writes this page from the commands.
+This page answers whoever looks for a command of `keepout`, an option or an exit code. `keepout COMMAND --help` says the
+same, with examples.
 
 | exit code | meaning |
 | --- | --- |
-| 0 | The command did its work. A contact is no failure: it stands in the results. |
+| 0 | The command did its work. A contact or an audit's verdict is no failure: it stands in the results. |
 | 1 | The command refused, or the work failed. One line on standard error says why, and what would be valid. |
 | 2 | The command line is not valid: an unknown option, or a value out of its range. |
-| 3 | The work is done and written, and its results do not meet the scenario's `[require]`. |
+| 3 | The work is done, and its results do not meet the scenario's `[require]`. |
 | 130 | The command was interrupted. `fit`, `campaign`, `rare` and `reproduce` go on when they are started again. |
 
 ## Common options
 
-An option with `=` takes a value; its default, if it has one, stands behind. Each command has the first two options, and
-all but `scenario schema` have `--json`. The last line of a command names the others that it has.
+An option with `=` takes a value; its default, if it has one, stands behind. `-o` is `--out`. A command's last line
+names those of these options that it has. All have the first two, and all but `scenario schema` have `--json`.
 
-- `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met.
-- `--log=`: Add all that is said, with times, to this file.
-- `--json`: Print one JSON object, whose keys are in [Files and figures](files.md), on standard output, and all else on
-  standard error.
+- `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met
+- `--log=`: Add all that is said, with times, to this file
+- `--json`: Print one JSON object ([its keys](files.md)) on standard output, and all else on standard error
 """
 LEFT_OUT = {"help", "quiet", "log", "as_json"}
 """Options that every command has."""
+OF_TARGET = {key.replace("_", "-") for key in TargetEntry.model_fields}
+SAID_ABOVE = ("Exit code", "A killed run")
+"""Paragraphs of a command's help that begin so are in the table of exit codes."""
 
 
 def range_of(spec: Mapping[str, Any]) -> str:
@@ -103,15 +110,16 @@ def range_of(spec: Mapping[str, Any]) -> str:
     if "anyOf" in spec:
         return " or ".join(dict.fromkeys(filter(None, (range_of(one) for one in spec["anyOf"]))))
     if "enum" in spec or "const" in spec:
-        return ", ".join(f"`{json.dumps(word)}`" for word in spec.get("enum", [spec.get("const")]))
+        return f"`{', '.join(json.dumps(word) for word in spec.get('enum', [spec.get('const')]))}`"
     kind = spec.get("type")
     if kind in ("integer", "number"):
-        return interval(spec) + (" whole" if kind == "integer" and "anyOf" in spec else "")
+        return ", ".join(filter(None, ("whole" * (kind == "integer"), interval(spec)))) or "any"
     if kind == "array" and "prefixItems" in spec:
         inner = spec["prefixItems"][0]
         if inner.get("type") == "array" or "anyOf" in inner:
-            return "3 rows of 3 numbers" if inner.get("type") == "array" else "2 numbers or 2 vectors"
-        return f"{len(spec['prefixItems'])} numbers {interval(inner)}".rstrip()
+            return "3 vectors" if inner.get("type") == "array" else "2 numbers or 2 vectors"
+        length = len(spec["prefixItems"])
+        return f"{'vector' if length == 3 else f'{length} numbers'} {interval(inner)}".rstrip()
     return ""
 
 
@@ -125,13 +133,17 @@ def interval(spec: Mapping[str, Any]) -> str:
 
 
 def number(value: float) -> str:
-    """Write a bound: exactly where it is a whole number, else with four digits."""
-    return str(int(value)) if value == int(value) and value % 1e6 else f"{value:.4g}".replace("e+0", "e")
+    """Write a number: exactly where it is a whole number, else with four digits."""
+    if value == int(value):
+        return str(int(value)) if value % 1e6 or not value else f"{value:.4g}".replace("e+0", "e").replace("e+", "e")
+    return f"{value:.4g}"
 
 
 def toml(value: Any) -> str:
-    """Write a default as TOML."""
-    return json.dumps(value, ensure_ascii=False)
+    """Write a default as TOML, in as few digits as its reader needs; a whole number is a number there."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(toml(part) for part in value)}]"
+    return number(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
 def entry_head(name: str, field: FieldInfo) -> str:
@@ -145,36 +157,48 @@ def values_of(field: FieldInfo, spec: Mapping[str, Any]) -> str:
     values, said = range_of(spec), field.description or ""
     unset = field.is_required() or field.get_default(call_default_factory=True) is None
     words = [word.strip('`"') for word in values.split(", ")]
-    if (values.startswith("`") and all(word in said for word in words)) or (values.endswith("numbers") and not unset):
+    if unset and values == "> 0":
+        values = ""
+    told = values.startswith("`") and all(word in said for word in words)
+    if told or (values in ("vector", "2 numbers", "3 vectors") and not unset):
         values = ""
     if not unset and spec.get("type") in ("integer", "number"):
         usual = "> 0" if field.get_default() else "≥ 0"
-        values = "" if values == usual else values or "any"
+        values = "" if values == usual else values
     values = "; ".join(filter(None, ("needed" if field.is_required() else "", values)))
     return f" ({values})" if values else ""
 
 
+def holds_tables(annotation: Any) -> bool:
+    """Whether an entry is a table or an array of tables, which have sections of their own."""
+    return is_table(annotation) or (get_origin(annotation) is tuple and is_table(get_args(annotation)[0]))
+
+
 def table_lines(title: str, table: type[Entry]) -> Iterator[str]:
-    """Give the section of one table; of its entries those that are no tables themselves, alike ones in one line."""
+    """Give the section of one table; of its entries those that hold no tables, alike ones in one line."""
     page = SEE.get(title)
     said = (table.__doc__ or "").splitlines()[0]
     place = page if page is None or ".md" in page else f"{page}.md"
-    yield from (f"## [{title}]", "", f"[{said}]({place})" if place else said, "")
+    header = f"[{title}]" if title.startswith("[") else title
+    yield from (f"## [{title}]({place})" if place and title in PLAIN else f"## {header}", "")
+    if title not in PLAIN:
+        said = said.replace(USUAL_AXES, "")
+        yield from (f"[{said}]({place})" if place else said, "")
     properties = table.model_json_schema()["properties"]
-    entries = [(key, field) for key, field in table.model_fields.items() if not is_table(field.annotation)]
+    entries = [(key, field) for key, field in table.model_fields.items() if not holds_tables(field.annotation)]
     for (meaning, values), alike in groupby(
         entries, key=lambda entry: (entry[1].description, values_of(entry[1], properties[entry[0]]))
     ):
-        yield f"- {', '.join(entry_head(*entry) for entry in alike)}{values}: {meaning}"
+        yield f"- {', '.join(entry_head(*entry) for entry in alike)}{values}: {(meaning or '').replace(USUAL_AXES, '')}"
     yield ""
 
 
 def scenario_page() -> str:
     """Give the page of all scenario entries."""
     lines = [SCENARIO]
-    lines += [line.replace("## [scenario]", "## No table") for line in table_lines("scenario", Scenario)]
+    lines += [line.replace("## scenario", "## No table") for line in table_lines("scenario", Scenario)]
     for key, field in Scenario.model_fields.items():
-        if get_origin(field.annotation) is tuple and is_table(get_args(field.annotation)[0]):
+        if holds_tables(field.annotation) and not is_table(field.annotation):
             lines += table_lines(f"[{key}]", get_args(field.annotation)[0])
     for name, told in entries_and_tables():
         if not isinstance(told, FieldInfo):
@@ -206,7 +230,8 @@ def option_line(option: Any, context: typer.Context) -> str:
     if option.is_flag:
         notes += [f"default `--{default}`"] * bool(default)
     elif option.metavar is None:
-        written = f"{', '.join(reversed(option.opts))}" + (" X Y Z" if option.nargs == 3 else f"={default}")
+        written = option.opts[-1] + (" X Y Z" if option.nargs == 3 else f"={default}")
+    written = written.replace("-o, --out", "-o")
     return f"- `{written}`" + (f" ({', '.join(notes)})" if notes else "") + f": {said}"
 
 
@@ -215,18 +240,24 @@ def commands_page() -> str:
     described: list[tuple[str, str, dict[str, str]]] = []
     for name, command in commands_of(typer.main.get_command(cli.app), "keepout"):
         context = typer.Context(command)
-        said = [part for part in (command.help or "").split("\n\n") if not part.startswith("Exit code 3")]
+        said = [part for part in (command.help or "").split("\n\n") if not part.startswith(SAID_ABOVE)]
         options = {
             option.name.upper() if isinstance(option, TyperArgument) else option.opts[-1]: option_line(option, context)
             for option in command.params
             if option.name not in LEFT_OUT
         }
+        placed = [key for key in options if key.removeprefix("--target-") in OF_TARGET]
+        written = [options.pop(key).partition(": ")[0].removeprefix("- ") for key in placed]
+        if placed:
+            options["placed"] = f"- {', '.join(written)}: As the entry of this name in [[target]](scenario.md#target)"
         described.append((name, " ".join(" ".join(said).split()), options))
     count = Counter(line for *_, options in described for line in options.values())
-    lines = [COMMANDS.rstrip(), *(line for line in count if count[line] > 2), ""]
+    shared = [line for line in count if count[line] > (2 if line.startswith("- `-o") else 1)]
+    lines = [COMMANDS.rstrip(), *shared, ""]
     for name, said, options in described:
-        common = [f"`{option}`" for option, line in options.items() if count[line] > 2]
-        lines += [f"## {name}", "", said, "", *(line for line in options.values() if count[line] < 3)]
+        common = [f"`{line.split()[1].strip('`:').removesuffix('=')}`" for line in options.values() if line in shared]
+        lines += [f"## {name.removeprefix('keepout ')}", "", said, ""]
+        lines += [line for line in options.values() if line not in shared]
         lines += [f"- {', '.join(common)}"] * bool(common) + [""]
     return "\n".join(lines).rstrip() + "\n"
 

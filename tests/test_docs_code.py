@@ -13,7 +13,7 @@ pytestmark = pytest.mark.long
 
 ELSEWHERE = {"README.md"}
 """Run by tests/test_commands.py."""
-QUICK = {"docs/my-mesh.md", "docs/my-mission.md"}
+QUICK = {"docs/my-mesh.md"}
 QUICKER = {
     "docs/reproduce.md": [
         ("duration=300.0", "duration=240.0"),

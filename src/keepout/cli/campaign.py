@@ -66,7 +66,7 @@ class _Flying:
     ] = None
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Who flies: local or local:N, processes here; tcp://HOST:PORT, a dask.distributed cluster."),
+        typer.Option(help="Who flies: local or local:N, processes here; tcp://HOST:PORT, a dask cluster."),
     ] = None
     mixed_processors: Annotated[
         bool, typer.Option("--mixed-processors", help="Let processors of several kinds fly, with other last bits.")

@@ -53,15 +53,11 @@ class _Wanted:
 )
 @grouped
 def export(
-    source: Annotated[
-        Path, typer.Argument(help="A flight file (.parquet, .npz), a field file (.keepout) or a mission (.toml).")
-    ],
+    source: Annotated[Path, typer.Argument(help="A flight (.parquet, .npz), a field (.keepout) or a mission (.toml).")],
     *,
     to: Annotated[
         str,
-        typer.Option(
-            help="The format: of a flight oem, aem, czml, csv, parquet, npz, glb; of a field onnx, glb; of a mission c."
-        ),
+        typer.Option(help="Of a flight oem, aem, czml, csv, parquet, npz, glb; of a field onnx, glb; of a mission c."),
     ],
     out: Annotated[Path, into("The file to write; of flight code the folder.")],
     wanted: _Wanted,
@@ -92,7 +88,7 @@ class _Given:
     chaser_radius: Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")]
     acceleration_bound: Annotated[
         float,
-        from_zero("Bound on the chaser's inertial acceleration relative to the target, all causes together, m/s²."),
+        from_zero("Bound on the chaser's inertial acceleration relative to the target, of all causes, m/s²."),
     ]
     target_attitude: Annotated[Path | None, typer.Option(help="AEM of the target.")] = None
     target_fixed_in: Annotated[
@@ -100,11 +96,11 @@ class _Given:
     ] = None
     turning_acceleration_bound: Annotated[
         float | None,
-        from_zero("Bound on the target's angular acceleration, rad/s², instead of one measured from the attitudes."),
+        from_zero("Bound on the target's angular acceleration, rad/s², instead of one measured."),
     ] = None
     centre_of_mass: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="The target's centre of mass, body axes, m, instead of the scenario's, or 0 0 0."),
+        typer.Option(help="The target's centre of mass, body axes, m, if not the scenario's, or 0 0 0."),
     ] = None
     chaser_object: Annotated[
         str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that the chaser's OEM must have.")
@@ -113,14 +109,12 @@ class _Given:
         str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that the target's OEM must have.")
     ] = None
     attitude_object: Annotated[
-        str | None, typer.Option(help="What the AEM calls the target, if not as the target's OEM does.")
+        str | None, typer.Option(help="The AEM's name of the target, if not that of its OEM.")
     ] = None
     attitude_frame: Annotated[
-        str | None, typer.Option(help="What the AEM calls the body's frame, if not SC_BODY or SC_BODY_1.")
+        str | None, typer.Option(help="The AEM's name of the body's frame, if not SC_BODY or SC_BODY_1.")
     ] = None
-    sample_error: Annotated[
-        float, from_zero("Error of a relative position in the files, m, if more than of its digits.")
-    ] = 1e-6
+    sample_error: Annotated[float, from_zero("Error of a relative position, m, if more than of its digits.")] = 1e-6
     attitude_error: Annotated[float, from_zero("Error of an attitude, rad, if more than of its digits.")] = 0.0
 
 
@@ -170,7 +164,7 @@ class _Placed:
 def audit(
     target: Annotated[
         str,
-        typer.Option(help="A mesh file, a built-in target's name, or a scenario file (.toml), whose [target] it is."),
+        typer.Option(help="A mesh file, a built-in target, or a scenario (.toml), whose [target] it is."),
     ],
     given: _Given,
     placed: _Placed,

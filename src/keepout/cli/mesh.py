@@ -28,7 +28,7 @@ from keepout.flights.pages import terminal
 if TYPE_CHECKING:
     from keepout.core.mission.entries import TargetEntry
 
-Mesh = Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target's name.")]
+Mesh = Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target.")]
 WhereMesh = Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")]
 DrawnInto = Annotated[Path | None, into("Also draw it into this folder.")]
 
@@ -306,7 +306,7 @@ def _checked(path: Path, mesh: str | None, seed: int, progress: Progress) -> dic
     )
 )
 def measure(
-    field: Annotated[str, typer.Argument(help="A field file (.keepout); with --shipped, a built-in target's name.")],
+    field: Annotated[str, typer.Argument(help="A field file (.keepout); with --shipped, a built-in target.")],
     out: DrawnInto = None,
     mesh: WhereMesh = None,
     shipped: Annotated[bool, typer.Option("--shipped", help="Measure the field that comes with the package.")] = False,

@@ -54,9 +54,7 @@ def into(help: str) -> Any:
 
 _SEED = at_least(0, 2**32 - 1)
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output; all else on standard error.")]
-Seed = Annotated[
-    int, typer.Option(callback=_SEED, help="The seed of every random choice; the same seed gives the same answer.")
-]
+Seed = Annotated[int, typer.Option(callback=_SEED, help="Seed of every random choice: the same seed, the same answer.")]
 ScenarioSeed = Annotated[int | None, typer.Option(callback=_SEED, help="Replaces the scenario's own seed.")]
 Units = Annotated[str | None, typer.Option(help="Length unit of a mesh file: m, cm, mm, in or ft.")]
 ChaserRadius = Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")]

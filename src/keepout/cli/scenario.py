@@ -31,7 +31,7 @@ def new_scenario(
     *,
     out: Annotated[Path | None, into("The file to write (.toml), instead of standard output.")] = None,
     target: Annotated[
-        str | None, typer.Option("--for", help="A mesh file, or a built-in target's name, whose sizes to fill in.")
+        str | None, typer.Option("--for", help="A mesh file, or a built-in target, whose sizes to fill in.")
     ] = None,
     profile: Annotated[str, typer.Option(help="The control law's profile: default or paper.")] = "default",
     approach: Annotated[
@@ -107,7 +107,7 @@ def check_scenario(
 ) -> None:
     """Say what a scenario would fly, without flying it: conditions, time, Δv, and what would be refused.
 
-    Where it would be refused, the nearest values that would not are looked for, and the exit code is 1.
+    Where it would be refused, it looks for the nearest values that would not, and the exit code is 1.
     """
     with terminal.progress(f"check {scenario.name}") as progress:
         mission = mission_of(scenario, None, settings)  # before what checks it is imported, which takes seconds

@@ -58,7 +58,7 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer flights, shipped fields: minutes.")] = False,
     fields: Annotated[
         Path | None,
-        typer.Option(help="Folder with fields of the paper's network: benchmarks/results/fields."),
+        typer.Option(help="Folder of fields of the paper's network: benchmarks/results/fields."),
     ] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -66,7 +66,9 @@ def reproduce(
     """Repeat the source paper's tables, figures and flights, with Keepout's own answers beside them.
 
     The full run takes hours: it fits the paper's network, about an hour for each of three targets, unless --fields
-    names a folder with its fields. A run that was stopped goes on where it was.
+    names its fields.
+
+    A killed run goes on where it was.
     """
     from keepout.apps.reproduction import reproduce as repeat
 

@@ -28,18 +28,18 @@ SHAPES: dict[str, tuple[str, ...]] = {
 
 
 class LegEntry(Entry):
-    """A place where the chaser holds before it flies on; the last leg's is the goal.
+    """A place where the chaser holds; the last is the goal.
 
     Attributes:
         name: In tables, plots and refusals; unset: the number.
         position: Hold point, m.
-        axes: Axes of the position: body, or vvlh, if the target stands still in it.
-        tolerance: The chaser is at the hold point while it is closer than this, m.
-        dwell: How long the chaser stays there without a break, s.
-        until: "go": the chaser flies on only after somebody says so, on board the caller, in simulation `go_at`.
-        go_at: Time at which "go" is said in simulation, s; `until` needs it.
-        speed_limit: Largest speed on the way to this place, m/s; unset: chaser.speed_limit.
-        within: [earliest, latest], s: not flown to before the first, and reached by the second.
+        axes: Of `position`: body, or vvlh, if the target stands still in it.
+        tolerance: The chaser is there while it is closer than this, m.
+        dwell: How long it stays there without a break, s.
+        until: "go": it flies on only at this word, on board the caller's, in simulation at `go_at`.
+        go_at: When "go" is said in simulation, s; `until` needs it.
+        speed_limit: On the way to this place, m/s; unset: chaser.speed_limit.
+        within: [earliest, latest], s: not flown to before, and reached by then.
 
     """
 
@@ -65,17 +65,17 @@ class ZoneEntry(Entry):
 
     Attributes:
         name: In tables, plots and refusals; unset: the number.
-        shape: A cylinder and a cone begin at `centre` and go along `axis`; a cone ends as a part of a sphere.
-        centre: Of a sphere or ellipsoid, of a cylinder's first face, or a cone's apex, m.
+        shape: Cylinder and cone go from `centre` along `axis`; a cone ends in a sphere's part.
+        centre: Of a sphere, ellipsoid, cylinder's first face, or the apex of a cone, m.
         radius: Of a sphere or cylinder, m.
-        semi_axes: Of an ellipsoid along the zone's axes, m.
-        lower, upper: Corners of a box along the zone's axes, m.
+        semi_axes: Of an ellipsoid, m.
+        lower, upper: Corners of a box, m.
         axis: Of a cylinder or cone, any length.
-        half_angle: Between a cone's axis and its side, rad.
+        half_angle: From a cone's axis to its side, rad.
         length: Of a cylinder or cone, m.
-        axes: Axes of these numbers, about the body frame's origin: body, vvlh, or inertial (ECI).
-        start: Time from which the zone stands, s.
-        until: Until when it stands, s, or "go": until that is said to the first leg that waits for it; unset: for ever.
+        axes: Of these numbers, about the body frame's origin: body, vvlh, or inertial (ECI).
+        start: From when the zone stands, s.
+        until: Until when it stands, s, or "go", said to the first leg that waits for it; unset: for ever.
 
     """
 
@@ -108,15 +108,15 @@ class ZoneEntry(Entry):
 
 
 class CorridorEntry(Entry):
-    """Inside `length` of a port the chaser's centre stays in a cone, or a tube, that leads outwards from it.
+    """Within `length` of a port the chaser's centre stays in a cone, or a tube, outwards from it.
 
     Attributes:
         name: In tables, plots and refusals; unset: the number.
-        port: Place of the port, body frame, m.
-        axis: Direction from the port outwards, body frame, any length.
+        port: Place of the port, body axes, m.
+        axis: From the port outwards, body axes, any length.
         length: Distance from the port within which the corridor binds, m.
-        half_angle: Between the cone's axis and its side, rad; unset: a tube.
-        radius: Radius of the tube, which needs it, or of the cone at the port, m; unset: the cone begins as a point.
+        half_angle: From the cone's axis to its side, rad; unset: a tube.
+        radius: Of the tube, which needs it, or of the cone at the port, m; unset: the cone begins as a point.
 
     """
 
@@ -135,16 +135,14 @@ class CorridorEntry(Entry):
 
 
 class ApproachEntry(Entry):
-    """How fast the chaser may fly how near, and how it gets away.
+    """Speeds by distance, and how the chaser gets away.
 
     Attributes:
-        speed_by_distance: Pairs [distance, m, largest speed, m/s], far ones first; linear between them.
-        distance_to: Point of the body frame to which distances are, m; unset: the mesh, by the law's field, which says
-            less.
-        abort: At `faults.abort_at`: retreat to the hold point before the one flown to, under the guard; or drift with
-            all thrusters off, so that no guard can act.
-        abort_time: How long a chaser that stops thrusting should touch nothing, s; judged every few seconds of a
-            flight; unset: never.
+        speed_by_distance: Pairs [distance, m, largest speed, m/s], far ones first; linear between.
+        distance_to: Point to which distances are, body axes, m; unset: the mesh, by the law's field, which says less.
+        abort: At `faults.abort_at`: retreat to the previous hold point, under the guard; or drift, all thrusters off,
+            so that no guard can act.
+        abort_time: How long a chaser that stops thrusting should touch nothing, s, judged every few seconds.
 
     """
 

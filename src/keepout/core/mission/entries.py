@@ -113,16 +113,16 @@ class TargetEntry(Entry):
     """The spacecraft that is flown around.
 
     Attributes:
-        source: A built-in target (`keepout targets`), or the file of a mesh, point cloud or map (.keepmap), relative to
-            the scenario.
-        units: Length unit of the file; unset: metres, unless the file says its unit.
+        source: A built-in target (`keepout targets`), or a mesh, point cloud or .keepmap, by its path from the
+            scenario.
+        units: Length unit of the file; unset: metres, or what the file says.
         scale: Metres per unit of the file, in place of `units`.
         drop_stray: Whether parts far from the rest are left out.
-        thickness: Diameter of the ball that each point of a point cloud stands for, m; needed there.
-        rotation: Rotation from file axes to body axes; unset: none.
-        origin: The body frame's origin in file axes, m; unset: the file's own.
-        centre_of_mass: In the body frame, m: it orbits, and the target turns about it.
-        parameters: Numbers of a built-in target, such as its wings' angle and span.
+        thickness: Diameter of the ball at each point of a point cloud, m; needed there.
+        rotation: Rows of the rotation from file axes to body axes.
+        origin: The body frame's origin in file axes, m.
+        centre_of_mass: Its place, body axes, m: it orbits, and the target turns about it.
+        parameters: Numbers of a built-in target, such as its wings' angle.
 
     """
 
@@ -142,11 +142,10 @@ class TargetEntry(Entry):
 
 
 class FieldEntry(Entry):
-    """The field that the control law flies by.
+    """The field that the law flies by.
 
     Attributes:
-        source: "shipped": the learned field of a built-in target; "grid": exact distances, made when needed; or a
-            .keepout file.
+        source: "shipped", learned, of a built-in target; "grid", exact distances, made when needed; or a .keepout file.
 
     """
 
@@ -171,10 +170,10 @@ class ChaserEntry(Entry):
 
 
 class SafetyEntry(Entry):
-    """The distance that is kept between chaser and target beyond the proved one.
+    """Room that is kept to the target.
 
     Attributes:
-        margin: The operator's own margin, m.
+        margin: The operator's own margin beside what is proved, m.
 
     """
 
@@ -182,15 +181,15 @@ class SafetyEntry(Entry):
 
 
 class GuardEntry(Entry):
-    """The hard layer that accepts or replaces every commanded force, and what its theorem may assume.
+    """The guard, and what its theorem may assume.
 
     Attributes:
         enabled: Whether the guard flies along.
-        position_error, velocity_error: Largest error of the estimate, m or m/s.
+        position_error, velocity_error: Largest error of the estimate, m, m/s.
         mass_error: Largest relative error of `chaser.mass`.
         gain_error: Largest relative error of the thrusters' force.
         keeps_margin: Whether the theorem keeps `safety.margin` too.
-        delay: Delay from a command to its effect, control periods; the law predicts its state over it.
+        delay: Control periods from a command to its effect; the law predicts its state over them.
 
     """
 
@@ -204,25 +203,24 @@ class GuardEntry(Entry):
 
 
 class FaultsEntry(Entry):
-    """Errors and failures of the flight, drawn from `seed`; law and guard know only what `guard` says of them.
+    """Errors and failures, drawn from `seed`; law and guard know only what `guard` says of them.
 
     Attributes:
-        law: What flies in the law's place: full thrust into the body; straight through to the goal at twice the speed
-            limit; random forces; bang-bang, full thrust in random corners for 15 periods each; not a number in every
-            15th command; none.
-        position_bias, velocity_bias: Length of a constant error of the estimate, in a random direction, m or m/s.
-        position_noise, velocity_noise: Largest error of the estimate that is drawn anew each period, m or m/s.
-        position_noise_std, velocity_noise_std: Standard deviation of a Gaussian error of each axis, without a bound, m
-            or m/s.
-        noise_correlation_time: Time over which the Gaussian errors fall to a third (1/e), s; 0: new ones each period.
+        law: In the law's place: full thrust into the body; straight through to the goal at twice the speed limit;
+            random forces; bang-bang, full thrust in random corners for 15 periods; not a number in every 15th command;
+            none.
+        position_bias, velocity_bias: Length of a constant error of the estimate, in a random direction, m, m/s.
+        position_noise, velocity_noise: Largest error of the estimate, drawn anew each period, m, m/s.
+        position_noise_std, velocity_noise_std: Standard deviation of an unbounded Gaussian error of each axis, m, m/s.
+        noise_correlation_time: Time in which Gaussian errors fall to 1/e, s; 0: new ones each period.
         delay: True delay from a command to its effect, control periods.
-        dropped: Probability that a command is lost; the last one then goes on.
+        dropped: Probability that a command is lost and the last one goes on.
         gain_error: Each axis gives 1 ± this times its command, drawn once a flight.
-        stuck: The ideal thruster that sticks, by the direction in which it pushes.
-        stuck_force: Force of the stuck thruster, N: 0 is stuck off, chaser.force_limit is stuck on.
-        stuck_from: Time at which the thruster sticks, s.
-        abort_at: Time at which the mission is abandoned, as `approach.abort` says, s; unset: never.
-        thruster: Number, counted from 0, of the thruster of a layout that sticks.
+        stuck: The ideal thruster that sticks, by the direction of its push.
+        stuck_force: Force of a stuck ideal thruster, N: 0 is off, chaser.force_limit on.
+        stuck_from: When a thruster sticks, s.
+        abort_at: When the mission is abandoned as `approach.abort` says, s; unset: never.
+        thruster: The thruster of a layout that sticks, counted from 0.
         thruster_stuck: Whether `thruster` sticks on or off.
 
     """
@@ -255,7 +253,7 @@ class FaultsEntry(Entry):
 
 
 class PaperEntry(Entry):
-    """Numbers that the paper's law needs and the paper does not print; only for `control.profile = "paper"`.
+    """Numbers that the paper does not print; only for `control.profile = "paper"`.
 
     Attributes:
         slowing_length: k_p of the desired velocity v_max tanh(r_e/k_p), by component, m.
@@ -275,14 +273,13 @@ class ControlEntry(Entry):
     """The control law.
 
     Attributes:
-        profile: The recommended law (default), or the paper's with its constants (paper).
-        period: Time between two control steps, s.
-        guidance: geodesic, along the shortest free way, or straight to the goal; unset: geodesic, in the paper's
-            profile straight.
-        spacing: Spacing of the geodesic guidance's grid, m; unset: by the room and the zone's width.
-        circulation: The paper's: none, printed, made skew, or switching; unset: none, in the paper's profile printed.
-        observer: Of the disturbance: harmonic, constant, printed in the paper, or off; unset: harmonic, in the paper's
-            profile printed.
+        profile: default, the recommended law, or paper, the paper's with its constants.
+        period: Time between control steps, s.
+        guidance: geodesic, along the shortest free way, or straight; unset: geodesic, in profile paper straight.
+        spacing: Of the geodesic guidance's grid, m; unset: by the room and the zone's width.
+        circulation: The paper's: none, printed, made skew, or switching; unset: none, in profile paper printed.
+        observer: Of the disturbance: harmonic, constant, the paper's printed, or off; unset: harmonic, in profile paper
+            printed.
 
     """
 
@@ -307,11 +304,11 @@ class OrbitEntry(Entry):
     """The target's orbit about the Earth.
 
     Attributes:
-        semi_major_axis: In m; the perigee must be at least 6.4e6 m from the Earth's centre.
-        eccentricity: Eccentricity; 0 is a circle.
-        true_anomaly: True anomaly at the start, rad.
-        inclination, right_ascension, argument_of_perigee: Angles of the orbit in ECI (right ascension of the ascending
-            node), rad; they matter with j2, drag, the sun and in exports.
+        semi_major_axis: In m; the perigee radius must be at least 6.4e6.
+        eccentricity: 0 is a circle.
+        true_anomaly: At the start, rad.
+        inclination, right_ascension, argument_of_perigee: In ECI (right ascension of the node), rad; they matter with
+            j2, drag, sun, inertial zones and in exports.
         j2: Whether the Earth's oblateness bends both orbits.
 
     """
@@ -331,12 +328,12 @@ class OrbitEntry(Entry):
 
 
 class DragEntry(Entry):
-    """Drag of both spacecraft in an exponential atmosphere that turns with the Earth.
+    """Drag of both craft in an exponential atmosphere that turns with the Earth.
 
     Attributes:
-        density: Air density at `altitude`, kg/m3; 0: no drag.
-        altitude: Altitude above the equatorial radius at which the air has that density, m.
-        scale_height: Height over which the density falls to a third (1/e), m.
+        density: Of the air at `altitude`, kg/m3; 0: no drag.
+        altitude: Altitude of that density above the equatorial radius, m.
+        scale_height: Height over which the density falls to 1/e, m.
         target_area_to_mass, chaser_area_to_mass: Drag coefficient × area / mass, m2/kg.
 
     """
@@ -349,10 +346,10 @@ class DragEntry(Entry):
 
 
 class SunEntry(Entry):
-    """Sunlight: where it comes from, and how it pushes both spacecraft.
+    """Sunlight: where it comes from, and how it pushes both craft.
 
     Attributes:
-        direction: Direction from the Earth to the sun, ECI, any length; unset: as at `epoch`.
+        direction: From Earth to sun, ECI, any length; unset: as at `epoch`.
         target_area_to_mass, chaser_area_to_mass: Radiation pressure coefficient × area / mass, m2/kg; 0: no push.
 
     """
@@ -367,13 +364,13 @@ class SunEntry(Entry):
 
 
 class AttitudeEntry(Entry):
-    """How the target turns.
+    """How the target turns; all but `kind` is for tumbling.
 
     Attributes:
-        kind: The target is fixed to the orbital frame (vvlh) or the stars (inertial), or turns freely (tumbling).
-        angular_velocity: Inertial, at the start, body axes, rad/s; for tumbling.
-        inertia: Body axes, kg m2; for tumbling.
-        gravity_gradient: Whether the Earth's gravity turns the target; for tumbling.
+        kind: Fixed to vvlh or inertial axes, or tumbling freely.
+        angular_velocity: Inertial, at the start, body axes, rad/s.
+        inertia: Of the target, body axes, kg m2.
+        gravity_gradient: Whether the Earth's gravity turns the target.
 
     """
 
@@ -390,14 +387,14 @@ class AttitudeEntry(Entry):
 
 
 class DisturbanceEntry(Entry):
-    """The force that nobody commanded, in body axes.
+    """The force that nobody commanded, body axes.
 
     Attributes:
-        kind: none; paper, 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; constant; bang-bang, which changes sign every 50
-            s; resonant, which does at every control step; or random, smooth noise from the seed.
-        force: The constant force, N; `constant` needs it.
-        amplitude: Largest norm of the force, N; `bang-bang`, `resonant` and `random` need it.
-        phase: Phase, rad: added to that of every sinusoid, or by which the square wave is ahead, 2π a period.
+        kind: none; paper, 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; constant; bang-bang, changing sign every 50 s;
+            resonant, at every control step; random, smooth noise.
+        force: The force that `constant` needs, N.
+        amplitude: Largest norm, N; `bang-bang`, `resonant` and `random` need it.
+        phase: Added to that of every sinusoid, or lead of the square wave, 2π a period, rad.
         bound: Largest force that law and guard may assume, N; unset: the true bound.
 
     """
@@ -421,10 +418,10 @@ class DisturbanceEntry(Entry):
 
 
 class StateEntry(Entry):
-    """The chaser's state at the start relative to the target, in body axes.
+    """The chaser at the start, relative to the target, body axes.
 
     Attributes:
-        position, velocity: Position and velocity of the chaser's centre, m and m/s.
+        position, velocity: Of the chaser's centre, m, m/s.
 
     """
 
@@ -436,8 +433,8 @@ class GoalEntry(Entry):
     """The place to go to.
 
     Attributes:
-        position: The goal in body axes, m; legs give it where there are any.
-        tolerance: The goal is reached when the chaser stays within this distance of it, m.
+        position: The place, body axes, m; legs give it where there are any.
+        tolerance: The goal is reached when the chaser stays this near to it, m.
 
     """
 
@@ -449,9 +446,9 @@ class ThrusterEntry(Entry):
     """One thruster of a layout of your own.
 
     Attributes:
-        position: Place from the chaser's centre of mass, m.
-        direction: Direction of the force on the chaser, any length.
-        force: Force while the thruster is on, N; unset: `thrusters.force`.
+        position: From the chaser's centre of mass, m.
+        direction: Of the force on the chaser, any length.
+        force: While the thruster is on, N; unset: `thrusters.force`.
 
     """
 
@@ -465,23 +462,22 @@ class ThrusterEntry(Entry):
 
 
 class ThrustersEntry(Entry):
-    """The chaser's thrusters: any force at once, or thrusters that are on or off.
+    """The chaser's thrusters.
 
     Attributes:
-        layout: ideal: any force up to chaser.force_limit an axis; six, 12, 24: on/off thrusters, one, two or four for
-            each direction; own: those of `own`.
-        held_in: Axes in which ideal thrusters hold a force over a period: the target's, or inertial ones.
+        layout: ideal: any force up to chaser.force_limit an axis, at once; six, 12, 24: one, two or four on/off
+            thrusters a direction; own: those of `own`.
+        held_in: Axes in which ideal thrusters hold a force: the target's, or inertial ones.
         own: The thrusters of a layout of your own.
-        force: Force of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
+        force: Of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
         least_on_time: Shortest pulse, s; less than half of it is not fired.
-        modulation: pulse-width, or delta-sigma: later pulses make up for what one gives too much or too little.
+        modulation: pulse-width, or delta-sigma, whose pulses make up for earlier ones' errors.
         specific_impulse: In s; cold nitrogen has 70, hydrazine 220.
-        rise_delay: Time by which each pulse begins and ends late, s.
-        misalignment: Largest angle of a force to its thruster's direction, drawn once a flight, rad.
-        scale_error: Largest relative error of a thruster's force, drawn once a flight.
-        detection_time: Time from a thruster's sticking until the others are fired accordingly, s.
-        survive_failure: Whether the guard covers one thruster that sticks, off or on; the others must give
-            chaser.force_limit.
+        rise_delay: Time by which pulses begin and end late, s.
+        misalignment: Largest angle of a force to its direction, drawn once a flight, rad.
+        scale_error: Largest relative error of a force, drawn once a flight.
+        detection_time: From a thruster's sticking until the others are fired accordingly, s.
+        survive_failure: Whether the guard covers one thruster stuck off or on; the others must give chaser.force_limit.
 
     """
 
@@ -512,17 +508,17 @@ class ThrustersEntry(Entry):
 
 
 class NavigationEntry(Entry):
-    """What is known of the motion: sensors, the law's estimate, and the guard's certain set.
+    """What sensors, law and guard know of the motion.
 
     Attributes:
-        suite: Sensors: far (GNSS), near (laser range and bearing), close (pose by lidar or camera), or none: the true
-            state with the errors of `faults`.
+        suite: far (GNSS), near (laser range and bearing), close (pose by lidar or camera), or none: the true state with
+            the errors of `faults`.
         estimate: What the law flies by: a Kalman filter of motion and disturbance; the last samples and the law's
             observer; or raw samples.
-        position_noise, velocity_noise: Largest error of a sample of the suite close, m or m/s; unset: 0.05 or 0.002.
-        dropout: Probability that a sample is lost; unset: the suite's own.
-        most_missed: How many samples can be lost in a row; unset: the suite's own.
-        initial_position_error, initial_velocity_error: Largest error of the first state, m or m/s; unset: the suite's
+        position_noise, velocity_noise: Largest error of a sample of suite close, m, m/s; unset: 0.05, 0.002.
+        dropout: Probability that a sample is lost; unset: the suite's.
+        most_missed: Most samples lost in a row; unset: the suite's.
+        initial_position_error, initial_velocity_error: Largest error of the first state, m, m/s; unset: the suite's
             without losses.
 
     """

@@ -46,9 +46,9 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
 
     Attributes:
         name: For titles and files: letters, digits, `_`, `.` and `-`, a letter or digit first.
-        seed: Seed of everything that is drawn at random.
-        duration: How long is flown, s; at least one control period.
-        epoch: UTC at the start; exports and the sun's place need it.
+        seed: Of everything that is drawn at random.
+        duration: Time flown, s; at least one control period.
+        epoch: UTC at the start, for exports and the sun's place.
         leg: Hold points in their order; the last one is the goal.
         zone: Room that nobody may enter.
         corridor: Ways out of ports, beside which nobody may be.

@@ -24,10 +24,10 @@ _LOWEST_SUN = math.radians(89.9)
 
 
 class RareEntry(Entry):
-    """Starts that `keepout rare` draws beside the scenario's faults.
+    """Starts that `keepout rare` draws beside the faults.
 
     Attributes:
-        start_position_std, start_velocity_std: Standard deviation of each axis of the start, m or m/s.
+        start_position_std, start_velocity_std: Standard deviation of each axis of the start, m, m/s.
 
     """
 
@@ -36,14 +36,14 @@ class RareEntry(Entry):
 
 
 class DispersionEntry(Entry):
-    """How one entry varies from run to run of a campaign: one of `uniform`, `normal`, `choice` and `sphere`.
+    """How one entry varies: by one of `uniform`, `normal`, `choice` and `sphere`.
 
     Attributes:
         uniform: [least, largest]; of a vector: two corners of a box.
         normal: [mean, standard deviation], cut off at `within`; of a vector: of each component.
         within: Standard deviations at which normal is cut off.
         choice: The values to choose from.
-        weights: How often each value of choice is drawn, relative to the others; unset: all alike.
+        weights: How often each value is drawn, relative; unset: all alike.
         sphere: Length of a vector of any direction, or its [least, largest] length.
         centre: Vector that sphere's is added to.
 
@@ -82,13 +82,13 @@ class DispersionEntry(Entry):
 
 
 class CampaignEntry(Entry):
-    """Many flights: from random starts at rest in a box, or with the entries of `dispersions` drawn anew for each.
+    """Many flights: from rest at random in a box, or with `dispersions` drawn for each.
 
     Attributes:
         runs: Number of flights.
-        lower, upper: Corners of the box of starts, m, without dispersions.
-        sampling: How dispersed numbers are drawn, over all together.
-        dispersions: The entries that vary, by dotted name: `"chaser.mass" = {uniform = [18, 22]}`.
+        lower, upper: Corners of the box of starts, body axes, m, without dispersions.
+        sampling: How dispersed numbers are drawn.
+        dispersions: Entries that vary, by dotted name: `"chaser.mass" = {uniform = [18, 22]}`.
 
     """
 
@@ -104,18 +104,18 @@ class CampaignEntry(Entry):
 
 
 class RequireEntry(Entry):
-    """What a flight, or a campaign's flights, must show; a command that finds otherwise ends with exit code 3.
+    """What a flight, or a campaign's, must show; else the exit code is 3.
 
     Attributes:
         contact: "proved": the audit proves that nothing was touched.
         certified: Whether the guard's theorem must hold from the start.
-        clearance_m: Least clearance that the audit must prove, m.
-        delta_v_mps: Greatest Δv, m/s.
-        time_s: Time by which the goal must be reached, s.
+        clearance_m: Least clearance that the audit must prove.
+        delta_v_mps: Greatest Δv.
+        time_s: Time by which the goal must be reached.
         reached: Whether the goal must be reached.
         zones: "proved": the audit proves that no zone was entered and no corridor left.
-        holds: Whether every leg's place must be held for its dwell, and reached in its window.
-        share: Share of a campaign's runs that must meet each, by the lower end of its 95 % interval; unset: every run.
+        holds: Whether every leg must be held for its dwell, and reached in its window.
+        share: Of a campaign's runs that must meet each, by the lower end of the 95 % interval; unset: all.
 
     """
 
@@ -131,26 +131,26 @@ class RequireEntry(Entry):
 
 
 class DepthSensorEntry(Entry):
-    """A camera that measures distances (lidar, stereo), and what it promises.
+    """A camera that measures distances (lidar, stereo), and its promises.
 
     Attributes:
         width, height: Pixels of an image, across and down.
-        field_of_view: Angle between the left and the right edge of the image, rad.
+        field_of_view: From the left to the right edge of the image, rad.
         rays_across: Rays along a pixel's edge; a pixel tells the first return of all its rays.
-        period: Time between two images, s; whole control periods.
+        period: Time between images, s; whole control periods.
         latency: Time from an image to its use, s; whole control periods.
-        mounting: Place from the chaser's centre, in camera axes, m.
-        least_range, greatest_range: Ranges, m: a nearer return says nothing, farther surface does not return.
+        mounting: Place from the chaser's centre, camera axes, m.
+        least_range, greatest_range: In m: a nearer return says nothing, farther surface does not return.
         range_error: Largest error of a range, m.
-        position_error, attitude_error: Largest error of the pose in the map's frame, drift included, m or rad.
+        position_error, attitude_error: Largest error of the pose in the map's frame, drift included, m, rad.
         surely_returned_width: Parts this wide surely return a ray within the range used, m.
         sure_empty_range: A ray without return is empty out to this range, m; 0: no return says nothing.
-        dropout: Probability that a return is lost; the sensor says that it was.
-        grazing_angle: Angle of incidence beyond which a return is lost, rad; the sensor says that it was.
-        turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and of that rate's change, rad/s².
-        errors: Errors are random within their bounds, or adversarial: at the bounds with the worst signs.
-        broken: Promise that is broken: range or pose error of twice the bound; ranges mixed of near and far; losses
-            that look like no return; late: images of another time; none.
+        dropout: Probability that a return is lost, which the sensor says.
+        grazing_angle: Incidence beyond which a return is lost, which the sensor says, rad.
+        turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and its change, rad/s².
+        errors: random within their bounds, or adversarial: at the bounds with the worst signs.
+        broken: Broken promise: range or pose error of twice the bound; mixed ranges of near and far; losses that look
+            like no return; late images, of another time; none.
 
     """
 
@@ -181,13 +181,13 @@ class DepthSensorEntry(Entry):
 
 
 class MapEntry(Entry):
-    """The map of room that was seen free; all other room is an obstacle.
+    """The room that was seen free; all other is an obstacle.
 
     Attributes:
-        centre: Of the ball that holds the whole target, m.
+        centre: Of the ball that holds the whole target, body axes, m.
         radius: Of that ball, m; `keepout explore` needs it.
         spacing: Edge of the map's cubes, m.
-        cap: Greatest distance that the map tells apart, m, in whole spacings; unset: 1.5, rounded up to them.
+        cap: Greatest distance that the map tells apart, m, in whole spacings; unset: 1.5, rounded up.
         file: A .keepmap file to go on from.
 
     """
@@ -203,10 +203,10 @@ class ExploreEntry(Entry):
     """What `keepout explore` flies for, and when it ends.
 
     Attributes:
-        towards: goal: open a way to goal.position and fly there; all round: see everything that can be seen.
-        most_views: Greatest number of images.
+        towards: goal: open a way to goal.position and fly there; all round: see all that can be seen.
+        most_views: Most images.
         explained: An unknown cube this near to a return belongs to the seen surface, m.
-        expected: Built-in target or mesh file that the mission believes in; departures from it are reported.
+        expected: Built-in target or mesh file that is believed in; departures from it are reported.
         expected_units: Length unit of that file.
 
     """
@@ -219,17 +219,17 @@ class ExploreEntry(Entry):
 
 
 class CameraEntry(Entry):
-    """A camera at the chaser's centre that turns on its own, and what a frame must show of a patch.
+    """The camera at the chaser's centre, which turns on its own.
 
     Attributes:
-        field_of_view: Full angle of the cone about the boresight that counts, rad.
+        field_of_view: Full angle of the cone that counts, rad.
         pixels: Pixels across that cone.
-        least_range: Least range, m; nearer surface is not sharp.
-        greatest_range: Greatest range, m; farther surface does not count.
-        greatest_incidence: Greatest angle from a patch's normal to the camera, rad.
-        greatest_sample_distance: Greatest distance of samples along the surface's slant, m a pixel; unset: any.
-        period: Time between two frames, s; whole control periods.
-        turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and of that rate's change, rad/s².
+        least_range: In m; nearer surface is not sharp.
+        greatest_range: In m; farther surface does not count.
+        greatest_incidence: Of a patch's normal to the camera, rad.
+        greatest_sample_distance: Of samples along the surface's slant, m a pixel; unset: any.
+        period: Time between frames, s; whole control periods.
+        turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and its change, rad/s².
 
     """
 
@@ -252,10 +252,10 @@ class LightEntry(Entry):
     """The light that a patch must be in to count as seen.
 
     Attributes:
-        kind: none: light does not matter; fixed: from `direction`; sun: from the sun by epoch, orbit and attitude, not
-            while the Earth hides any of it.
-        direction: Direction towards the light, body frame, any length; `fixed` needs it.
-        greatest_incidence: Greatest angle from a patch's normal to the light, rad.
+        kind: none: light does not matter; fixed: from `direction`; sun: by epoch, orbit and attitude, not while the
+            Earth hides any of it.
+        direction: Towards the light, body axes, any length; `fixed` needs it.
+        greatest_incidence: Of a patch's normal to the light, rad.
 
     """
 
@@ -271,12 +271,12 @@ class LightEntry(Entry):
 
 
 class ProtectedEntry(Entry):
-    """A part of the target that no thruster's plume may reach: a ball, or a box along the body axes.
+    """A ball, or a box along the body axes, that no plume may reach.
 
     Attributes:
-        centre: Centre of the ball, body frame, m.
-        radius: Radius of the ball, m; 0: a point.
-        lower, upper: Corners of the box, body frame, m.
+        centre: Of the ball, body axes, m.
+        radius: Of the ball, m; 0: a point.
+        lower, upper: Corners of the box, body axes, m.
 
     """
 
@@ -295,10 +295,10 @@ class ProtectedEntry(Entry):
 
 
 class HoldPointEntry(Entry):
-    """A place where the chaser comes to rest, in the order given, before any view is flown to.
+    """A place where the chaser comes to rest, in this order, before any view.
 
     Attributes:
-        position: The place in the body frame, m.
+        position: The place, body axes, m.
         seconds: How long it is held, s.
 
     """
@@ -308,26 +308,26 @@ class HoldPointEntry(Entry):
 
 
 class InspectEntry(Entry):
-    """What `keepout inspect` is to see, by which tour, and the operator's limits.
+    """What `keepout inspect` sees, and the operator's limits.
 
     Attributes:
-        stand_off: Least distance of the chaser's centre from the target's surface, m.
-        patch_size: Edge of the patches, each seen wholly or not at all, m; unset: 0.25, of a target longer than 80 m
-            1.0, shorter than 2.5 m a tenth of that.
+        stand_off: Least distance of the chaser's centre from the surface, m.
+        patch_size: Edge of the patches, each seen wholly or not at all, m; unset: 0.25; of a target beyond 80 m 1.0,
+            below 2.5 m a tenth of it.
         coverage: Share of the area that can be seen and lit in time at which the flight ends.
-        tour: plan: the views that cover most, in the best order; nearest: always the nearest view that shows something
-            new; circumnavigation: natural motion round the target.
-        objective: What the order of views makes least: time, delta_v, or both: time + delta_v_worth × Δv.
-        delta_v_worth: Price of Δv in the objective both, s per m/s.
-        candidates: Greatest number of places from which views are considered.
-        most_views: Greatest number of views in one plan.
-        dwell: How long the chaser stays at each view, s; 0: it flies on.
-        proof_squares: Greatest number of squares of directions that the proof of what can be seen looks at.
-        proof_time: Longest time of that proof, s; if it ends the proof, results say so and differ from machine to
-            machine; unset: none.
+        tour: plan: the views that cover most, in the best order; nearest: the nearest view with something new;
+            circumnavigation: natural motion round the target.
+        objective: What the order of views makes least: time, delta_v, or both, time + delta_v_worth × Δv.
+        delta_v_worth: Price of Δv in both, s per m/s.
+        candidates: Most places considered for views.
+        most_views: Most views in one plan.
+        dwell: Stay at each view, s; 0: it flies on.
+        proof_squares: Most squares of directions in the proof of what can be seen.
+        proof_time: Longest time of that proof, s; where it ends the proof, results say so and differ from machine to
+            machine.
         passive_safety: How long a chaser that stops thrusting anywhere on its way touches nothing, s.
-        plume_half_angle: Angle between a plume's axis and its side, rad.
-        plume_range: Range beyond which a plume harms nothing, m; unset: it always does.
+        plume_half_angle: From a plume's axis to its side, rad.
+        plume_range: Beyond it a plume harms nothing, m; unset: it always does.
         no_thrust_towards: Parts of the target that no plume may reach.
         hold_points: Places where the chaser is held first.
 
