@@ -69,10 +69,13 @@ def test_round_a_ball_the_smallest_ellipse_is_as_high_as_ball_and_stand_off():
     "entries",
     [
         {"orbit": {"semi_major_axis": 8.0e6, "eccentricity": 0.12, "true_anomaly": 1.0}, "duration": 7122.0},
-        {
-            "attitude": {"kind": "tumbling", "angular_velocity": [0.001, 0.002, 0.0015]},
-            "target": {"centre_of_mass": [0.5, -0.3, 0.2]},
-        },
+        pytest.param(
+            {
+                "attitude": {"kind": "tumbling", "angular_velocity": [0.001, 0.002, 0.0015]},
+                "target": {"centre_of_mass": [0.5, -0.3, 0.2]},
+            },
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 @pytest.mark.usefixtures("few")

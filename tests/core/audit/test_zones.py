@@ -65,7 +65,7 @@ def test_a_turning_zone_is_bounded_at_every_instant(phase, size, speed):
     tube = _tube(time, [speed, -speed, 0.0], [3.0, 3.5, 0.3])
     region = Region("bar", bar, 0.2, np.stack([turned(at) for at in time]), rate=rate)
     [found] = entered(tube, region)
-    moments = np.linspace(0.0, 80.0, 1601)
+    moments = np.linspace(0.0, 80.0, 801)
     path = np.array([3.0, 3.5, 0.3]) + moments[:, None] * [speed, -speed, 0.0]
     true = float(bar(np.stack([turned(at) @ place for at, place in zip(moments, path, strict=True)])).min()) - 0.2
     assert found.minimum_clearance <= true + 1e-6

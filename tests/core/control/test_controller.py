@@ -70,6 +70,7 @@ def starts(seed, least, half):
     return jnp.asarray(places[np.asarray(PANELS.value(jnp.asarray(places))) > least][:24])
 
 
+@pytest.mark.slow  # the commands fly it in test_commands
 @pytest.mark.long
 def test_default_law_reaches_the_goal_without_contact_and_without_saturation(default):
     position, velocity, command, _ = flights(default, starts(4, 1.3, [6, 10, 5]), 700, MOTION, None)

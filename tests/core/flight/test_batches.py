@@ -101,6 +101,7 @@ def test_shared_or_not_a_flight_is_the_same(campaign):
     np.testing.assert_allclose(flown(setup, states, alike=()), whole, rtol=0.0, atol=1e-11)
 
 
+@pytest.mark.slow  # rows of campaigns are held against runs alone
 @pytest.mark.long
 def test_what_varies_differs_between_flights(campaign):
     """Each with its own push and its own turn of the target."""

@@ -21,6 +21,7 @@ def pinball(target, solid) -> FieldModel:
     return fit(target, profile=shortened("paper"), solid=solid)
 
 
+@pytest.mark.slow  # a finding, told by the results
 def test_the_pinball_reading_learns_the_distance(pinball, target, solid):
     errors = distance_errors(pinball.field, solid, nearest=0.3, farthest=2.0)
     assert errors.mean_absolute < 0.3

@@ -173,7 +173,7 @@ def random_model(radius: float, seed: int) -> FieldModel:
     return raised(model, radius - values(model.field, contact_with_box(50_000, radius)).max())
 
 
-@pytest.mark.parametrize("radius", [0.0, 0.5])
+@pytest.mark.parametrize("radius", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 def test_no_search_beats_the_bound_of_any_network(radius):
     """Whatever the network, no point at distance R has a value above R + e_h."""
     for seed in (0, 1, 2):

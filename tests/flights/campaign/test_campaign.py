@@ -109,6 +109,7 @@ def test_a_campaign_in_memory_has_the_rows_of_one_in_a_folder(scenario, flown):
     assert made.summary()["flown"] == len(rows) == len(made.audits) < 22
 
 
+@pytest.mark.slow  # the command says so of a run in test_commands
 def test_a_replay_is_equal_to_its_row(plan, flown):
     dataset, _ = flown
     number = next(row["run"] for row in dataset.table().to_pylist() if row["run"] > 8 and row["status"] == "flown")
