@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from keepout.cli.missions import add_mission_command
+from keepout.cli.options import add_mission_command
 from keepout.core import plug_ins
 from keepout.flights.pages import terminal
 

@@ -10,16 +10,23 @@ import typer
 from typer.core import TyperGroup
 
 from keepout.cli.application import Commands, app
-from keepout.cli.missions import (
+from keepout.cli.options import (
+    AsJson,
     Force,
+    ScenarioSeed,
     Settings,
+    answer,
+    at_least,
     conclude,
+    example,
     folder_of,
     forget_campaign,
+    grouped,
+    into,
     mission_of,
     results_of,
+    usage,
 )
-from keepout.cli.options import AsJson, ScenarioSeed, answer, at_least, example, grouped, into, usage
 from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, silent
 from keepout.flights.pages import terminal
@@ -171,7 +178,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare two finished campaigns: rates, quantiles, and run by run where both drew the same."""
-    from keepout.flights.pages.comparison_page import compare_campaigns
+    from keepout.flights.pages.campaign_page import compare_campaigns
 
     with terminal.progress("compare") as progress:
         summary = compare_campaigns(first, second, out, progress=progress)

@@ -129,7 +129,7 @@ class Campaign:
             KeepoutError: a folder holds no finished campaign, or is damaged.
 
         """
-        from keepout.flights.pages.comparison_page import compare_campaigns
+        from keepout.flights.pages.campaign_page import compare_campaigns
 
         second = other.folder if isinstance(other, Campaign) else Path(other)
         return compare_campaigns(self.folder, second, None if out is None else Path(out), progress=progress)

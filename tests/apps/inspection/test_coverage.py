@@ -9,8 +9,8 @@ from truths.made_up_inspection import DARK, PERIOD, RULES, SUN, made_up
 from truths.replay_page import ReplayPage
 
 from keepout.apps.inspection import coverage
-from keepout.apps.inspection.coverage import Coverage
 from keepout.apps.inspection.inspection import Fate, fates, first_frames
+from keepout.apps.inspection.inspection_page import Coverage
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed
 from keepout.flights.pages.scene import scene

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from keepout.apps.led.leading import Leading, Point
+from keepout.apps.led.driver import Leading, Point
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.map_field import SLOPE, MapField
 from keepout.core.control.barrier_grid import BarrierGrid, grid_of_nodes

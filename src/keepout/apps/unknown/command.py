@@ -1,14 +1,16 @@
-"""The command `explore`; it imports what flies and draws when it is called."""
+"""What exploring adds: the command `explore`, and maps as meshes; each imports what it needs when it is called."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
+from keepout.core.errors import MapError, MeshError
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages.terminal import MissionCommand, result_table
 
 if TYPE_CHECKING:
+    from keepout.core.geometry.mesh_files.contents import MeshContents
     from keepout.core.mission.scenario import Scenario
 
 
@@ -46,3 +48,24 @@ EXPLORE = MissionCommand(
     fly=explore_to_folder,
     table=_table,
 )
+
+
+def read_keepmap(path: Path) -> "MeshContents":
+    """Read a `.keepmap` file as the skin of its obstacle, in metres and in the map's frame.
+
+    Raises:
+        MeshError: if it is damaged or no map file.
+
+    """
+    from keepout.apps.unknown.map_file import load
+    from keepout.apps.unknown.skin import skin
+    from keepout.core.geometry.mesh_files.contents import MeshContents
+
+    try:
+        known = load(path)
+    except MapError as refusal:
+        raise MeshError(str(refusal).removeprefix(f"{path}: ")) from refusal
+    vertices, faces = skin(known)
+    broken = known.assumptions_broken
+    said = (f"took the skin of a map of {known.name} after {known.views} views", *broken)
+    return MeshContents(vertices, faces, said, "meter", broken)

@@ -129,7 +129,7 @@ def _export(
         case "aem":
             return export_attitude(inertial_flight(record, scenario), scenario.name, scenario.target, out, xml=xml)
         case "czml":
-            from keepout.flights.exchange.czml import export_czml
+            from keepout.flights.exchange.flight_files import export_czml
 
             return export_czml(inertial_flight(record, scenario), scenario, out)
         case "glb":
