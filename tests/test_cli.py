@@ -14,7 +14,7 @@ from truths.command_line import Answer, keepout_command
 
 from keepout import cli
 from keepout.cli import mesh, options
-from keepout.cli.application import ORDER
+from keepout.cli.options import ORDER
 from keepout.core.fields import shipped_path
 from keepout.core.fields.model import FieldModel
 from keepout.core.mission.scenario import Scenario

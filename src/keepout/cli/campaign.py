@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from keepout.cli.application import Commands, app
 from keepout.cli.options import (
     AsJson,
+    Commands,
     Force,
     ScenarioSeed,
     Settings,
     answer,
+    app,
     at_least,
     conclude,
     example,

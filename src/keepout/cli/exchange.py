@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from keepout.cli.application import app
 from keepout.cli.options import (
     AsJson,
     Seed,
     Settings,
     Units,
     answer,
+    app,
     example,
     from_zero,
     grouped,

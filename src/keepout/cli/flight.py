@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from keepout.cli.application import app
 from keepout.cli.options import (
     AsJson,
     Force,
@@ -18,6 +17,7 @@ from keepout.cli.options import (
     Settings,
     add_mission_command,
     answer,
+    app,
     at_least,
     conclude,
     example,

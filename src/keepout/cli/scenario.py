@@ -8,8 +8,19 @@ from typing import Annotated, Any
 
 import typer
 
-from keepout.cli.application import Commands, app
-from keepout.cli.options import AsJson, MeshFile, Settings, answer, example, grouped, into, mission_of, require_file
+from keepout.cli.options import (
+    AsJson,
+    Commands,
+    MeshFile,
+    Settings,
+    answer,
+    app,
+    example,
+    grouped,
+    into,
+    mission_of,
+    require_file,
+)
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress
 from keepout.flights.pages import terminal

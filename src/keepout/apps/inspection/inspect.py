@@ -257,10 +257,10 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     onto = transfer(scenario, target.distance.distance, ellipse)
     scenario = _begun_on(scenario, ellipse)
     around = Surroundings(scenario, target)
-    motion, suite = around.motion, scenario.navigation.suite
+    motion = around.motion
     require_navigation(scenario)
     guard = build_guard(around) if scenario.guard.enabled else None
-    sensed = None if suite == "none" else navigation(scenario, motion, around.guard_assumptions)
+    sensed = navigation(scenario, motion, around.guard_assumptions)
     setup = around.setup(ellipse.law(scenario), guard=guard, navigation=sensed)
     initial = motion.initial_state(ellipse.position[0], ellipse.velocity[0])
     log = fly(setup, initial, scenario.steps, jax.random.key(scenario.seed))

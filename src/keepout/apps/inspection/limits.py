@@ -34,8 +34,7 @@ from keepout.core.mission.task_entries import HoldPointEntry
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.relative import MotionState
-from keepout.flights.thrusters.of_scenario import errors, layout
-from keepout.flights.thrusters.on_off import Allocation
+from keepout.flights.thrusters.on_off import Allocation, errors_of, layout_of
 
 _SILENT = 1e-9
 """Newtons: a thruster that gives less has no plume."""
@@ -79,11 +78,11 @@ class Nozzles(eqx.Module):
     @classmethod
     def of(cls, scenario: Scenario) -> "Nozzles":
         """Take them from a scenario."""
-        whole = layout(scenario)
+        whole = layout_of(scenario)
         if whole is None:
             return cls()
         placed = jnp.asarray(whole.position), jnp.asarray(whole.direction), jnp.asarray(whole.force)
-        wrong = whole.misalignment, errors(scenario).excursion
+        wrong = whole.misalignment, errors_of(scenario).excursion
         return cls(*placed, *wrong, scenario.chaser.force_limit, Allocation.of(whole))
 
     def gives(self, force: Float[Array, "3"]) -> Float[Array, " n"]:

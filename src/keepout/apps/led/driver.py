@@ -33,6 +33,7 @@ from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress
+from keepout.flights.pages.head_and_foot import contact_said
 
 Point = Float[np.ndarray, "3"]
 
@@ -315,12 +316,7 @@ class Led:
 
     def contact_said(self, on: str = "") -> str:
         """Say what the audit says of contact, and how far the chaser stayed away `on` the mesh, in words."""
-        words = {"no": "No contact, proved", "yes": "Contact", "undecided": "Contact not excluded"}
-        said = words[str(self.audit.contact)]
-        if self.audit.contact is Contact.NO:
-            # Down, as it is a lower bound.
-            said += f": the clearance{on} is at least {math.floor(1e3 * self.audit.minimum_clearance) / 1e3:.3f} m"
-        return said
+        return contact_said(str(self.audit.contact), self.audit.minimum_clearance, f"the clearance{on}")
 
     def contact_figures(self) -> dict[str, Any]:
         """Give what the audit says, as plain numbers: `contact` is true unless it proves that there was none."""
