@@ -132,14 +132,14 @@ def _flown(
     `told` hears how far it is as flights land; `progress` too, in words. `force` replaces another campaign.
     """
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import flyer_on, in_threads, keep_of, scheduler_of
+    from keepout.flights.campaign.run import flyer_on, keep_of, scheduler_of
     from keepout.verbs.campaigns import complete
 
     with usage():
         keep = keep_of(how.keep)
         if how.scheduler is not None:
             scheduler_of(how.scheduler)
-    flyer = in_threads if how.scheduler is None else flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
+    flyer = flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
     progress(0.0, "preparing")
     plan = Plan.of(scenario, batch=how.batch)
     return complete(plan, _begun(out, plan, force=force), keep=keep, flyer=flyer, told=told, progress=progress)

@@ -3,7 +3,6 @@
 The best views are drawn as a camera has them: in perspective, with depth, lit by the sun or from the camera.
 """
 
-import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,12 +81,8 @@ class Studio:
 
     def __init__(self, triangles: Float[np.ndarray, "f 3 3"]) -> None:
         self.triangles = np.ascontiguousarray(triangles, np.float64)
-        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-        self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-
-    @functools.cached_property
-    def _first_hit(self) -> FirstHit:
-        return FirstHit(self.triangles.reshape(-1, 3), np.arange(3 * len(self.triangles)).reshape(-1, 3))
+        self._first_hit = FirstHit(self.triangles.reshape(-1, 3), np.arange(3 * len(self.triangles)).reshape(-1, 3))
+        self.normals = self._first_hit.normals
 
     def take(self, camera: Pinhole, position: Float[np.ndarray, "3"], axes: Float[np.ndarray, "3 3"]) -> Picture:
         """Take a picture.

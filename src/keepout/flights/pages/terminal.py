@@ -424,11 +424,10 @@ def result_table(title: str, summary: Mapping[str, Any], rows: Mapping[str, str]
 
     """
     told = {words: summary[key] for key, words in rows.items() if summary[key] is not None}
-    return _with_broken(facts_table(title, told), [summary])
-
-
-def _with_broken(table: Table, summaries: Sequence[Mapping[str, Any]]) -> Table:
-    table.caption, table.caption_justify = "\n".join(broken_assumptions(summaries)) or None, "left"
+    table = facts_table(title, told)
+    if broken := summary["assumptions_broken"]:
+        table.caption_justify = "left"
+        table.caption = f"{summary['name']}: beyond the guard's assumptions, nothing is promised: {'; '.join(broken)}"
     return table
 
 
@@ -449,15 +448,6 @@ def check_parts(summary: Mapping[str, Any]) -> list[Table | str]:
         parts += [f"  would do: {nearest['words']}" for nearest in refusal["nearest"]]
     parts.append("It flies." if summary["flies"] else "It would not be flown.")
     return parts
-
-
-def broken_assumptions(summaries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Give a line for each flight that goes beyond what its guard's theorem assumes."""
-    return [
-        f"{summary['name']}: beyond the guard's assumptions, nothing is promised: {'; '.join(broken)}"
-        for summary in summaries
-        if (broken := summary["assumptions_broken"])
-    ]
 
 
 _TARGETS: Mapping[str, Column] = {
