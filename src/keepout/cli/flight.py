@@ -42,15 +42,14 @@ def fly_to_folder(
 
     target = look(scenario)
     from keepout.core.mission.build import fly
-    from keepout.flights.pages.folder import results_in, write_flight, write_summary
+    from keepout.flights.pages.folder import write_flight, write_summary
 
-    with results_in(out):
-        flight = fly(scenario, target=target, progress=part_of(progress, 0.0, 0.9))
-        places = f"start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m"
-        introduction, title = f"Target {flight.target.name}, {places}.", f"Flight {scenario.name}"
-        summary = write_flight(out, scenario.name, flight, title=title, introduction=introduction, figures=figures)
-        write_summary(out, summary)
-        return summary
+    flight = fly(scenario, target=target, progress=part_of(progress, 0.0, 0.9))
+    places = f"start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m"
+    introduction, title = f"Target {flight.target.name}, {places}.", f"Flight {scenario.name}"
+    summary = write_flight(out, scenario.name, flight, title=title, introduction=introduction, figures=figures)
+    write_summary(out, summary)
+    return summary
 
 
 add_mission_command(

@@ -29,7 +29,7 @@ from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.drawn import MOST_TRIANGLES, fewer
 from keepout.flights.pages.flight_page import Told, draw_result
-from keepout.flights.pages.folder import make_folder, write_summary
+from keepout.flights.pages.folder import write_summary
 from keepout.flights.pages.page import Markup, Page, text
 from keepout.flights.pages.replayed import Layer
 from keepout.flights.pages.scene import Packing
@@ -84,7 +84,6 @@ def write_inspection(
         progress: told how far it is.
 
     """
-    make_folder(out)
     name = inspection.scenario.name
     flight, left = out / f"{name}.parquet", out / UNSEEN
     inspection.record.save(flight)

@@ -17,21 +17,13 @@ if TYPE_CHECKING:
 def explore_to_folder(
     scenario: "Scenario", out: Path, *, figures: bool = True, progress: Progress = silent
 ) -> dict[str, Any]:
-    """Explore as a scenario says; write map, flight file, pictures, page and `summary.json` into `out`.
-
-    Nothing is written where the scenario is refused.
-    """
-    from keepout.apps.unknown import equipment
-
-    camera = equipment.depth_camera(scenario)
-    equipment.require_explorable(scenario, camera)
-    from keepout.apps.unknown.exploration_page import write_exploration
+    """Explore as a scenario says; write map, flight file, pictures, page and `summary.json` into `out`."""
     from keepout.apps.unknown.explore import explore
-    from keepout.flights.pages.folder import results_in
 
-    with results_in(out):
-        exploration = explore(scenario, progress=part_of(progress, 0.0, 0.9))
-        return write_exploration(out, exploration, figures=figures, progress=part_of(progress, 0.9, 1.0))
+    exploration = explore(scenario, progress=part_of(progress, 0.0, 0.9))
+    from keepout.apps.unknown.exploration_page import write_exploration  # what draws: not for a refusal
+
+    return write_exploration(out, exploration, figures=figures, progress=part_of(progress, 0.9, 1.0))
 
 
 def _table(summary: dict[str, Any]) -> Table:

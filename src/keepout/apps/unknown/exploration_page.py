@@ -36,7 +36,7 @@ from keepout.core.progress import Progress, silent
 from keepout.flights.pages.drawn import fewer
 from keepout.flights.pages.figures import COLOURS, figure
 from keepout.flights.pages.flight_page import Told, draw_result
-from keepout.flights.pages.folder import make_folder, write_summary
+from keepout.flights.pages.folder import write_summary
 from keepout.flights.pages.mesh_pictures import READABLE, View, eye_axes, paint_paths, rasterise
 from keepout.flights.pages.replayed import Layer
 from keepout.flights.pages.scene import Packing
@@ -77,7 +77,6 @@ def write_exploration(
         progress: told how far it is.
 
     """
-    make_folder(out)
     name = exploration.scenario.name
     flight, kept = out / f"{name}.parquet", out / MAP
     map_file.save(exploration.map, kept)

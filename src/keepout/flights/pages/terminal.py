@@ -160,7 +160,7 @@ class MissionCommand:
         help: what it does.
         example: a command line.
         scenario: what its scenario is.
-        fly: flies a scenario into a folder, with `figures` and `progress`; gives the summary.
+        fly: flies a scenario into a folder that there is, with `figures` and `progress`; gives the summary.
         table: gives the summary for a person.
         check: refuses a file by its name.
 
