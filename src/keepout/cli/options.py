@@ -12,9 +12,10 @@ import math
 import shutil
 import sys
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -69,24 +70,28 @@ Units = Annotated[str | None, typer.Option(help="Length unit of a mesh file: m, 
 ChaserRadius = Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")]
 
 
+def _taking(of: Callable[..., None], options: Iterable[inspect.Parameter]) -> Callable[..., None]:
+    """Give a function that says it takes these options, by name: as typer asks."""
+    options = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
+    of.__signature__ = inspect.Signature(options)  # pyright: ignore[reportFunctionMemberAccess]
+    of.__annotations__ = {option.name: option.annotation for option in options}
+    return of
+
+
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Let options that belong together be one parameter: one that is a dataclass stands for an option each field."""
     parameters = inspect.signature(command, eval_str=True).parameters
     groups: dict[str, Any] = {name: one.annotation for name, one in parameters.items() if is_dataclass(one.annotation)}
-    options = [
-        option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for name, one in parameters.items()
-        for option in (inspect.signature(groups[name]).parameters.values() if name in groups else (one,))
-    ]
 
     @functools.wraps(command)
     def of_options(**given: Any) -> None:
         made = {name: of(**{one.name: given.pop(one.name) for one in fields(of)}) for name, of in groups.items()}
         command(**given, **made)
 
-    of_options.__signature__ = inspect.Signature(options)  # pyright: ignore[reportAttributeAccessIssue]
-    of_options.__annotations__ = {option.name: option.annotation for option in options}
-    return of_options
+    options: list[inspect.Parameter] = []
+    for name, one in parameters.items():
+        options += inspect.signature(groups[name]).parameters.values() if name in groups else [one]
+    return _taking(of_options, options)
 
 
 @dataclass(frozen=True)
@@ -394,11 +399,8 @@ def _heard(command: Callable[..., None]) -> Callable[..., None]:
         with terminal.heard(quiet, log):
             command(**given)
 
-    own, added = (inspect.signature(of, eval_str=True).parameters.values() for of in (command, options))
-    own = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in own]
-    told.__signature__ = inspect.Signature([*own, *added])  # pyright: ignore[reportAttributeAccessIssue]
-    told.__annotations__ = {option.name: option.annotation for option in (*own, *added)}
-    return told
+    both = (inspect.signature(of, eval_str=True).parameters.values() for of in (command, options))
+    return _taking(told, chain.from_iterable(both))
 
 
 class _WithPlugIns(TyperGroup):

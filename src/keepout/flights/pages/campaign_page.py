@@ -281,16 +281,23 @@ def _tell(page: Page, found: Results, replays: Mapping[int, Markup]) -> None:
     page.words("Every run's row is in flights/*.parquet.")
 
 
+def rate_rows(found: Results, heading: str = "") -> list[dict[str, str]]:
+    """Give how often each thing happened as rows for people; the heading stands over what happened."""
+    return [
+        {
+            heading: rate.name,
+            "runs": f"{rate.count} of {rate.total} {rate.among}",
+            "rate": "–" if rate.rate is None else percent(rate.rate),
+            "95 % interval": f"{percent(rate.low)} to {percent(rate.high)}",
+        }
+        for rate in found.rates
+    ]
+
+
 def _tell_rates(page: Page, found: Results) -> None:
     rows = []
-    for r in found.rates:
-        mark = bad if r.count and r.name in ("contact", "undecided", "contact or undecided") else text
-        row = {
-            "": r.name,
-            "runs": f"{r.count} of {r.total} {r.among}",
-            "rate": None if r.rate is None else percent(r.rate),
-            "95 % interval": f"{percent(r.low)} to {percent(r.high)}",
-        }
+    for rate, row in zip(found.rates, rate_rows(found)):
+        mark = bad if rate.count and rate.name in ("contact", "undecided", "contact or undecided") else text
         rows.append({key: mark(value) for key, value in row.items()})
     page.table(rows)
 

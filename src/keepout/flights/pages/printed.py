@@ -25,7 +25,7 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place, write_whole
 from keepout.flights import requirements
 from keepout.flights.campaign.dataset import read_campaign
-from keepout.flights.campaign.results import Results, results
+from keepout.flights.campaign.results import results
 from keepout.flights.pages import campaign_page
 from keepout.flights.pages.approach_drawn import STILL, paint_bodies
 from keepout.flights.pages.figures import drawn
@@ -382,7 +382,7 @@ def _campaign_parts(folder: Path, progress: Progress) -> _Parts:
     def proved(sheet: _Sheet) -> None:
         sheet.verdict(campaign_page.verdict(found))
         sheet.words(f"Each flight was audited by itself. {_AUDIT}")
-        sheet.table(_rates(found))
+        sheet.table(campaign_page.rate_rows(found, "how often"))
         sheet.words(campaign_page.SAMPLING[scenario.campaign.sampling])
 
     def flown(sheet: _Sheet) -> None:
@@ -399,15 +399,3 @@ def _campaign_parts(folder: Path, progress: Progress) -> _Parts:
         "Requirements": lambda sheet: _requirements(sheet, summary, campaign_page.provenance(reading)),
     }
     return _Parts(f"Campaign {scenario.name}, {found.runs} of {reading.runs} runs", sheets)
-
-
-def _rates(found: Results) -> list[dict[str, str]]:
-    return [
-        {
-            "how often": rate.name,
-            "runs": f"{rate.count} of {rate.total} {rate.among}",
-            "rate": "–" if rate.rate is None else campaign_page.percent(rate.rate),
-            "95 % interval": f"{campaign_page.percent(rate.low)} to {campaign_page.percent(rate.high)}",
-        }
-        for rate in found.rates
-    ]
