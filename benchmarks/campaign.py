@@ -223,8 +223,7 @@ def usual():
     import warnings
 
     from keepout.apps.reproduction.case3 import PRINTED, case3_scenarios
-    from keepout.apps.reproduction.runtime import Contender, time_here
-    from keepout.apps.reproduction.usual_way import missing_extra
+    from keepout.apps.reproduction.runtime import Contender, missing_extra, time_here
     from keepout.core.control.profiles import ControlWarning
     from keepout.core.flight.batches import BATCH
 

@@ -1,6 +1,6 @@
 """What is wrong in a known-free map, counted against the true mesh, and how much of what is free it does not know.
 
-A cube is bad where it is said to be free and meets a triangle (`apps/unknown/truth.py`; touching does not count).
+A cube is bad where it is said to be free and meets a triangle (`apps/unknown/exploration.py`; touching does not count).
 The field f over-states at a point p where f(p) > sqrt(d(p)² + h²), d the exact distance of p to the mesh, h the cubes'
 edge: what docs/mapping.md proves not to happen.
 """
@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from keepout.apps.led.first_hit import FirstHit
-from keepout.apps.unknown.truth import cubes_met
+from keepout.apps.unknown.exploration import cubes_met
 from keepout.core.fields.field import Field
 from keepout.core.geometry.level_set import sharp_points, surface_points
 from keepout.core.geometry.target import Target

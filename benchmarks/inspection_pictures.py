@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from kept_rows import command, tell, timed, with_meshes
 
-from keepout.apps.inspection.perspective import Studio
+from keepout.apps.inspection.inspection_pictures import Studio
 from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.led.first_hit import FirstHit
 from keepout.core.geometry.target import Target

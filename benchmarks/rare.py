@@ -22,7 +22,7 @@ from scipy import optimize, signal, stats
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.whole_file import write_whole
-from keepout.flights.rare_events.flights import TapedFlights
+from keepout.flights.rare_events.event import TapedFlights
 from keepout.flights.rare_events.subset import Question, estimate, interval, simulate
 
 RESULTS = Path(__file__).with_name("results") / "rare.json"

@@ -13,8 +13,8 @@ import pytest
 from truths.command_line import Answer, keepout_command
 
 from keepout import cli
-from keepout.cli import mesh, missions
-from keepout.cli.application import ORDER
+from keepout.cli import mesh, options
+from keepout.cli.options import ORDER
 from keepout.core.fields import shipped_path
 from keepout.core.fields.model import FieldModel
 from keepout.core.mission.scenario import Scenario
@@ -162,7 +162,7 @@ def work_is_watched(monkeypatch, work):
         (("explore", "explore.toml", "-o"), None, "keepout.apps.unknown.explore:explore"),
         (("inspect", "mission.toml", "-o"), None, "keepout.apps.inspection.inspect:inspect"),
         (("campaign", "mission.toml", "-o"), None, "keepout.flights.campaign.plan:Workshop"),
-        (("campaign", "compare", "a", "b", "-o"), None, "keepout.flights.pages.comparison_page:read_campaign"),
+        (("campaign", "compare", "a", "b", "-o"), None, "keepout.flights.pages.campaign_page:read_campaign"),
         (("rare", "mission.toml", "-o"), None, "keepout.flights.rare_events.event:rare"),
         (("reproduce", "runtime", "-o"), None, "keepout.apps.reproduction:side_by_side"),
         (("fit", "box", "-o"), "box.keepout", "keepout.core.learning.training:fit"),
@@ -234,14 +234,14 @@ def test_set_replaces_entries_of_every_kind(tmp_path, monkeypatch):
     (tmp_path / "mission.toml").write_text("campaign.dispersions = {'chaser.mass' = {uniform = [1, 2]}}")
     settings = ("control.guidance=straight", "start.position.z = 7", "goal.position=[1, 2.5, 3]", "target.source=a.glb")
     settings += ("campaign.dispersions.'chaser.mass'={normal = [20, 1]}", "guard.enabled=false", "seed=1", "seed=2")
-    made = missions.mission_of(tmp_path / "mission.toml", settings=settings)
+    made = options.mission_of(tmp_path / "mission.toml", settings=settings)
     assert made == Scenario(
         **{"seed": 2, "control": {"guidance": "straight"}, "guard": {"enabled": False}},
         **{"start": {"position": [0, 10, 7]}, "goal": {"position": [1, 2.5, 3]}},
         **{"target": {"source": str(tmp_path / "a.glb")}},
         campaign={"dispersions": {"chaser.mass": {"normal": [20, 1]}}},
     )
-    assert missions.mission_of(tmp_path / "mission.toml", 5, settings).seed == 5
+    assert options.mission_of(tmp_path / "mission.toml", 5, settings).seed == 5
 
 
 def test_quiet_says_nothing_and_the_log_has_all_that_was_said(tmp_path):

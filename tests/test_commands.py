@@ -28,7 +28,7 @@ from keepout.apps.led.camera import axes_towards
 from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown import equipment, map_file
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take
-from keepout.cli.application import ORDER
+from keepout.cli.options import ORDER
 from keepout.core.audit.audit import Audit, audit
 from keepout.core.compiled.kept_programs import VARIABLE
 from keepout.core.fields.field import values

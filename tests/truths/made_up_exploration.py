@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.apps.led.camera import Pinhole
-from keepout.apps.unknown.departures import departures
-from keepout.apps.unknown.exploration import Exploration, TakenView
+from keepout.apps.unknown.exploration import Exploration, TakenView, departures
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.skin import Stages
 from keepout.apps.unknown.view import SensorBounds, View

@@ -12,8 +12,8 @@ from typer.exceptions import TyperException
 import keepout
 
 # Each adds its commands to the application.
-from keepout.cli import campaign, exchange, flight, mesh, scenario, study  # noqa: F401
-from keepout.cli.application import app
+from keepout.cli import campaign, exchange, flight, mesh, scenario  # noqa: F401
+from keepout.cli.options import app
 from keepout.core.errors import KeepoutError, UsageError
 
 

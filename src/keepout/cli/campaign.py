@@ -9,17 +9,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from keepout.cli.application import Commands, app
-from keepout.cli.missions import (
+from keepout.cli.options import (
+    AsJson,
+    Commands,
     Force,
+    ScenarioSeed,
     Settings,
+    answer,
+    app,
+    at_least,
     conclude,
+    example,
     folder_of,
     forget_campaign,
+    grouped,
+    into,
     mission_of,
     results_of,
+    usage,
 )
-from keepout.cli.options import AsJson, ScenarioSeed, answer, at_least, example, grouped, into, usage
 from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, silent
 from keepout.flights.pages import terminal
@@ -124,14 +132,14 @@ def _flown(
     `told` hears how far it is as flights land; `progress` too, in words. `force` replaces another campaign.
     """
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import flyer_on, in_threads, keep_of, scheduler_of
+    from keepout.flights.campaign.run import flyer_on, keep_of, scheduler_of
     from keepout.verbs.campaigns import complete
 
     with usage():
         keep = keep_of(how.keep)
         if how.scheduler is not None:
             scheduler_of(how.scheduler)
-    flyer = in_threads if how.scheduler is None else flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
+    flyer = flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
     progress(0.0, "preparing")
     plan = Plan.of(scenario, batch=how.batch)
     return complete(plan, _begun(out, plan, force=force), keep=keep, flyer=flyer, told=told, progress=progress)
@@ -171,7 +179,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare two finished campaigns: rates, quantiles, and run by run where both drew the same."""
-    from keepout.flights.pages.comparison_page import compare_campaigns
+    from keepout.flights.pages.campaign_page import compare_campaigns
 
     with terminal.progress("compare") as progress:
         summary = compare_campaigns(first, second, out, progress=progress)

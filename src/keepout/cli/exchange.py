@@ -6,17 +6,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from keepout.cli.application import app
-from keepout.cli.missions import Settings, mission_of
 from keepout.cli.options import (
     AsJson,
     Seed,
+    Settings,
     Units,
     answer,
+    app,
     example,
     from_zero,
     grouped,
     into,
+    mission_of,
     require_file,
     target_entry,
     usage,

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from keepout.cli.application import app
 from keepout.cli.options import (
     AsJson,
     ChaserRadius,
     MeshFile,
     Seed,
     answer,
+    app,
     example,
     grouped,
     into,

@@ -8,9 +8,19 @@ from typing import Annotated, Any
 
 import typer
 
-from keepout.cli.application import Commands, app
-from keepout.cli.missions import Settings, mission_of
-from keepout.cli.options import AsJson, MeshFile, answer, example, grouped, into, require_file
+from keepout.cli.options import (
+    AsJson,
+    Commands,
+    MeshFile,
+    Settings,
+    answer,
+    app,
+    example,
+    grouped,
+    into,
+    mission_of,
+    require_file,
+)
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress
 from keepout.flights.pages import terminal

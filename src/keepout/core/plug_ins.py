@@ -4,7 +4,7 @@ A room adds by a file `plug_in.toml` in its folder, a table for each group: the 
 and the module and the object in it, as entry points are written.
 
     [mesh_readers]
-    ".keepmap" = "keepout.apps.unknown.map_mesh:read_keepmap"
+    ".keepmap" = "keepout.apps.unknown.command:read_keepmap"
 
 What asks (a reader of meshes by suffix, a page for its parts) says `names("mesh_readers")` to know what there is, which
 imports nothing, and `load("mesh_readers", ".keepmap")` to get one, which imports that one module. The names of a group

@@ -129,7 +129,7 @@ class Campaign:
             KeepoutError: a folder holds no finished campaign, or is damaged.
 
         """
-        from keepout.flights.pages.comparison_page import compare_campaigns
+        from keepout.flights.pages.campaign_page import compare_campaigns
 
         second = other.folder if isinstance(other, Campaign) else Path(other)
         return compare_campaigns(self.folder, second, None if out is None else Path(out), progress=progress)
@@ -195,9 +195,8 @@ def campaign(
     if unknown:
         raise ScenarioError(f"campaign: {unknown[0]}: no such option; valid: keep, batch, scheduler, mixed_processors")
     varied = _varied(Scenario.of(scenario), runs, vary or {})
-    keep, scheduler = keep_of(how.get("keep", "worst:20")), how.get("scheduler")
-    mixed = bool(how.get("mixed_processors", False))
-    flyer = in_threads if scheduler is None else flyer_on(scheduler, mixed_processors=mixed)
+    keep = keep_of(how.get("keep", "worst:20"))
+    flyer = flyer_on(how.get("scheduler"), mixed_processors=bool(how.get("mixed_processors", False)))
     temporary = tempfile.TemporaryDirectory(prefix="keepout-campaign-") if out is None else None
     folder = Path(temporary.name if temporary is not None else str(out))
     progress(0.0, "preparing")

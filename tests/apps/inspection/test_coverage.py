@@ -8,9 +8,9 @@ from truths.browser import shown, slide
 from truths.made_up_inspection import DARK, PERIOD, RULES, SUN, made_up
 from truths.replay_page import ReplayPage
 
-from keepout.apps.inspection import coverage
-from keepout.apps.inspection.coverage import Coverage
+from keepout.apps.inspection import inspection_page
 from keepout.apps.inspection.inspection import Fate, fates, first_frames
+from keepout.apps.inspection.inspection_page import Coverage
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed
 from keepout.flights.pages.scene import scene
@@ -69,7 +69,7 @@ def test_the_plot_is_the_share_seen_up_to_each_row(inspection):
 
 def test_a_surface_of_very_many_triangles_is_drawn_with_fewer_and_the_page_says_so(inspection, monkeypatch):
     fine = made_up(views=VIEWS, across=24)
-    monkeypatch.setattr(coverage, "MOST_TRIANGLES", 2000)
+    monkeypatch.setattr(inspection_page, "MOST_TRIANGLES", 2000)
     thinned = Coverage(fine)
     assert 200 < len(thinned.faces) <= 2000
     assert re.search(r"with [\d,]+ of the patches' 6,912 triangles", thinned._remark())

@@ -10,8 +10,7 @@ from truths.made_up_inspection import made_up
 from truths.results import check_folder
 
 from keepout.apps.inspection import inspection_pictures
-from keepout.apps.inspection.coverage import FATE_COLOURS
-from keepout.apps.inspection.inspection import Fate
+from keepout.apps.inspection.inspection import FATE_COLOURS, Fate
 from keepout.apps.inspection.inspection_page import write_inspection
 from keepout.apps.inspection.inspection_pictures import best_views
 

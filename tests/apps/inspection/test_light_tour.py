@@ -1,6 +1,7 @@
 """Tours in a light that moves, against every order and every moment there is."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,15 +10,19 @@ from truths.lights import Round
 
 from keepout.apps.inspection.candidates import Views
 from keepout.apps.inspection.light import Camera, LitTimes
-from keepout.apps.inspection.light_tour import Begin, Cost, LightTours, Pace
+from keepout.apps.inspection.light_tour import LightTours
+from keepout.apps.inspection.plan import Task
 from keepout.apps.inspection.problem import rules_of
 from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 
-PACE = Pace(speed=0.1, acceleration=1e9, turn_rate=1e3, turn_acceleration=1e9, dwell=0.0)
-"""Of a chaser that a corner costs nothing and a camera that turns at once: a leg takes its length over 0.1 m/s."""
+SPEED = 0.1
+"""A tour is made at nine tenths of the chaser's limit, m/s."""
+CHASER = SimpleNamespace(speed_limit=SPEED / 0.9, force_limit=1e9, mass=1.0)
+CAMERA = SimpleNamespace(turn_rate=1e3, turn_acceleration=1e9)
+"""A corner costs that chaser nothing, and that camera turns at once: a leg takes its length over 0.1 m/s."""
 AHEAD = np.array([1.0, 0.0, 0.0])
 STEP = 20.0
 
@@ -36,20 +41,23 @@ def light(rows):
     return LitTimes(STEP * np.arange(len(lit)), lit, True)
 
 
-def made(views, lit, areas, goal=np.inf, cost=None, most_views=20, tries=1500):
+def made(views, lit, areas, goal=np.inf, most_views=20, tries=1500, **inspect):
     def lengths(row):
         return np.linalg.norm(views.positions - (np.zeros(3) if row < 0 else views.positions[row]), axis=1)
 
-    areas, begin = np.asarray(areas, dtype=float), Begin(np.zeros(3), AHEAD, 0.0)
-    goal, cost = min(goal, areas.sum()), Cost() if cost is None else cost
-    return LightTours(views, lit, areas, goal, lengths, begin, PACE, cost, most_views).best(tries)
+    areas = np.asarray(areas, dtype=float)
+    asked = {"objective": "time", "delta_v_worth": 1.0, "dwell": 0.0, "most_views": most_views} | inspect
+    scenario = SimpleNamespace(chaser=CHASER, camera=CAMERA, inspect=SimpleNamespace(**asked))
+    problem, goal = SimpleNamespace(scenario=scenario), min(goal, areas.sum())
+    task = Task(problem, lit, areas, goal, None, np.zeros(3), AHEAD, 0.0)
+    return LightTours(task, views, lengths).best(tries)
 
 
 def shown(views, lit, rows, times):
     """Give the units that views show at their times, which a chaser of 0.1 m/s must be able to keep."""
     seen, here, now = np.zeros(lit.lit.shape[1], dtype=bool), np.zeros(3), 0.0
     for row, at in zip(rows, times, strict=True):
-        assert at >= now + np.linalg.norm(views.positions[row] - here) / PACE.speed - 1e-6
+        assert at >= now + np.linalg.norm(views.positions[row] - here) / SPEED - 1e-6
         # A moment after it, so that what goes dark at this very time does not count.
         seen |= (views.sees[[row]].toarray()[0] > 0.0) & lit.at(float(at) + 1e-3)
         here, now = views.positions[row], at
@@ -66,7 +74,7 @@ def most_there_is(views, lit, areas):
         for row in order:
             after = {}
             for (now, here), several in states.items():
-                arrival = now + np.linalg.norm(views.positions[row] - np.array(here)) / PACE.speed
+                arrival = now + np.linalg.norm(views.positions[row] - np.array(here)) / SPEED
                 for n in range(int(np.ceil(arrival / STEP - 1e-9)), len(both)):
                     key = (STEP * n, tuple(views.positions[row]))
                     for before in several:
@@ -129,11 +137,11 @@ def every_order(views):
         here, moving, now, delta_v = np.zeros(3), np.zeros(3), 0.0, 0.0
         for row in order:
             way = float(np.linalg.norm(views.positions[row] - here))
-            onwards = PACE.speed * (views.positions[row] - here) / way
+            onwards = SPEED * (views.positions[row] - here) / way
             delta_v += float(np.linalg.norm(onwards - moving))
-            now = STEP * np.ceil((now + way / PACE.speed) / STEP - 1e-9)
+            now = STEP * np.ceil((now + way / SPEED) / STEP - 1e-9)
             here, moving = views.positions[row], onwards
-        found.append((now, delta_v + PACE.speed))
+        found.append((now, delta_v + SPEED))
     return np.array(found)
 
 
@@ -143,7 +151,7 @@ def test_an_objective_is_made_nearly_as_small_as_by_any_order():
     views = views_at(np.random.default_rng(2).uniform(-15.0, 15.0, (6, 3)), np.eye(6))
     always, truth = light(np.ones((160, 6))), every_order(views)
     quick, cheap, both = (
-        made(views, always, np.ones(6), tries=400, cost=Cost.of(objective, 500.0))
+        made(views, always, np.ones(6), tries=400, objective=objective, delta_v_worth=500.0)
         for objective in ("time", "delta_v", "both")
     )
     assert quick.end == pytest.approx(truth[:, 0].min())

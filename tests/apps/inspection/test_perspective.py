@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keepout.apps.inspection.perspective import Studio
+from keepout.apps.inspection.inspection_pictures import Studio
 from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.led.first_hit import FirstHit
 

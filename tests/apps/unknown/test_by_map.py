@@ -17,9 +17,8 @@ from truths.growing_maps import Cubes
 from truths.guarded_worlds import motion_state
 
 from keepout.apps.led.camera import Pinhole
-from keepout.apps.unknown.by_map import ByMap, DeclaredBall, field_of, guard_by_map, require_start
+from keepout.apps.unknown.by_map import SLOPE, ByMap, DeclaredBall, MapField, field_of, guard_by_map, require_start
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
-from keepout.apps.unknown.map_field import SLOPE, MapField
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.audit.audit import Contact, audit
 from keepout.core.errors import FieldError, KeepoutError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from keepout.apps.unknown.truth import cubes_met
+from keepout.apps.unknown.exploration import cubes_met
 
 pytestmark = pytest.mark.long
 

@@ -10,8 +10,8 @@ from truths.made_meshes import target_of
 
 from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.led.first_hit import FirstHit
-from keepout.apps.unknown.departures import _depth, departures
 from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
+from keepout.apps.unknown.exploration import _depth, departures
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.solids import box, mesh, unite

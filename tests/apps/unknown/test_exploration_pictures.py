@@ -8,8 +8,7 @@ import pytest
 from truths.made_up_exploration import CAMERA, HALF, PERIOD, REFUSED, circle, look_at, made_up
 from truths.results import check_folder
 
-from keepout.apps.unknown.exploration_page import write_exploration
-from keepout.apps.unknown.exploration_pictures import FirstSight
+from keepout.apps.unknown.exploration_page import FirstSight, write_exploration
 from keepout.core.geometry.target import Target
 
 pytestmark = pytest.mark.long

@@ -127,7 +127,7 @@ def test_what_is_called_reachable_is_joined_to_the_chaser_through_nodes_that_kee
     known = riddled(seed)
     outside = np.array([0.0, 0.0, 2.2])
     reach = reachable(known, outside, KEEP, stride=stride)
-    distance = known.distance_at_nodes()
+    distance = known.spacing * np.sqrt(known.squares, dtype=np.float64)
     labels, count = ndimage.label(distance >= KEEP - 1e-9, np.ones((3, 3, 3)))
     ours = labels[tuple(np.round((outside - known.origin) / known.spacing).astype(int))]
     assert ours > 0

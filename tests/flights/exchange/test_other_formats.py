@@ -20,8 +20,7 @@ from keepout.core.flight.loop import FlightLog
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
 from keepout.core.mission.epoch import parse_instant
-from keepout.flights.exchange.czml import earth_from_inertial
-from keepout.flights.exchange.flight_files import UNITS, inertial_flight
+from keepout.flights.exchange.flight_files import UNITS, earth_from_inertial, inertial_flight
 
 pytestmark = [pytest.mark.as_used, pytest.mark.usefixtures("coarse_surfaces")]
 

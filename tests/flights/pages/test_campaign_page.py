@@ -15,8 +15,7 @@ from truths.replay_page import ReplayPage
 
 from keepout.core.errors import ScenarioError
 from keepout.flights.campaign.dataset import Dataset
-from keepout.flights.pages.campaign_page import PLACE, replay_command, report_campaign
-from keepout.flights.pages.comparison_page import compare_campaigns
+from keepout.flights.pages.campaign_page import PLACE, compare_campaigns, replay_command, report_campaign
 
 pytestmark = pytest.mark.as_used
 

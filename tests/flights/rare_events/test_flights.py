@@ -14,8 +14,7 @@ from keepout.core.flight import loop
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import broken_assumptions
-from keepout.flights.rare_events.event import rare
-from keepout.flights.rare_events.flights import Tape, TapedFlights
+from keepout.flights.rare_events.event import Tape, TapedFlights, rare
 
 NEAR = Scenario().replace(
     name="near",

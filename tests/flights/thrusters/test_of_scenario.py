@@ -7,8 +7,7 @@ from keepout.core.errors import ScenarioError
 from keepout.core.mission.first_look import look, require_thrusters
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.flights.thrusters.of_scenario import errors, layout
-from keepout.flights.thrusters.on_off import OnOffThrusters
+from keepout.flights.thrusters.on_off import OnOffThrusters, errors_of, layout_of
 
 FLAT = [
     {"position": [0, 0, 0], "direction": direction, "force": 0.2}
@@ -24,17 +23,19 @@ def scenario(faults=None, chaser=None, **entries):
 
 @pytest.mark.parametrize(("name", "count"), [("six", 6), ("12", 12), ("24", 24)])
 def test_presets_share_the_force_limit_among_the_thrusters_of_a_direction(name, count):
-    made = layout(scenario(layout=name))
+    made = layout_of(scenario(layout=name))
     assert made.count == count
     np.testing.assert_allclose(np.maximum(made.pushes(), 0.0).sum(axis=0), 0.1)
     assert isinstance(Surroundings(scenario(layout=name)).thrusters, OnOffThrusters)
 
 
 def test_a_layout_of_your_own():
-    made = layout(scenario(layout="own", own=[*FLAT, UP, DOWN]))
+    made = layout_of(scenario(layout="own", own=[*FLAT, UP, DOWN]))
     np.testing.assert_allclose(made.direction[5], [0.0, 0.0, -1.0])
     require_thrusters(scenario(layout="own", own=[*FLAT, UP, DOWN], chaser={"force_limit": 0.2}))
-    assert errors(scenario(layout="own", own=[*FLAT, UP, DOWN])).force_error == pytest.approx(np.sqrt(3.0) * 0.2 * 0.01)
+    assert errors_of(scenario(layout="own", own=[*FLAT, UP, DOWN])).force_error == pytest.approx(
+        np.sqrt(3.0) * 0.2 * 0.01
+    )
 
 
 @pytest.mark.parametrize(
@@ -59,9 +60,9 @@ def test_layouts_are_refused_with_numbers(entries, said):
 
 
 def test_the_guard_assumes_a_fault_to_its_detection_and_the_audit_the_guards_excursion():
-    covered = errors(scenario(layout="12", force=0.1, survive_failure=True, detection_time=4.2))
+    covered = errors_of(scenario(layout="12", force=0.1, survive_failure=True, detection_time=4.2))
     assert (covered.fault_force, covered.fault_steps) == (pytest.approx(0.1), 5)
-    width, told = errors(scenario(layout="six")), Surroundings(scenario(layout="six")).flight_bounds
+    width, told = errors_of(scenario(layout="six")), Surroundings(scenario(layout="six")).flight_bounds
     assert (told.excursion, told.velocity_excursion) == (width.excursion, width.velocity_excursion)
     # The figures of docs/motion.md: 0.1 N an axis, 20 kg, 1 s, 20 ms.
     assert (width.force_error, width.excursion) == pytest.approx((np.sqrt(3.0) * 1e-3, np.sqrt(3.0) * 0.1 / 640.0))

@@ -1,6 +1,12 @@
-"""The folder of flight code that `keepout export --to c` writes: sources, tables, a self-test and how to build them."""
+"""The folder of flight code that `keepout export --to c` writes: sources, tables, a self-test and how to build them.
+
+A mission's numbers are C text, its tables one binary image.
+"""
 
 import dataclasses
+import math
+import struct
+import zlib
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -9,16 +15,185 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.apps.flight_code import c_text
-from keepout.apps.flight_code.missions import Coded, coded, require_entries
+from keepout.apps.flight_code.missions import Coded, coded, directions_of, numbers_of, require_entries, sizes_of
+from keepout.apps.flight_code.spline_tables import SplineTables
+from keepout.core.control.geodesic import GeodesicGuidance
 from keepout.core.errors import ExchangeError
+from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.field import values
+from keepout.core.fields.neural import NeuralField
 from keepout.core.flight.on_board import OnBoard, Order
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place, write_whole
+
+FORMAT = 1
+"""Of the image; as KEEPOUT_FORMAT in sources/keepout.h."""
+_LINE = 110
+
+
+def image_of(made: Coded) -> bytes:
+    """Give the image of a mission's tables, as `keepout_open` reads it (sources/keepout_tables.c)."""
+    parts: list[bytes] = []
+    guidance = made.law.velocity.guidance
+    if isinstance(guidance, GeodesicGuidance):
+        parts.append(directions_of(guidance).tobytes())
+    for tables in (made.law_tables, made.guard_tables):
+        parts += [] if tables is None else tables.parts
+    body = struct.pack("<I", len(parts)) + b"".join(struct.pack("<I", len(part)) for part in parts) + b"".join(parts)
+    return b"KEEPOUT\0" + struct.pack("<IIII", FORMAT, 0x01020304, len(body), zlib.crc32(body)) + body
+
+
+def digest_of(image: bytes) -> int:
+    """Give the CRC-32 that an image carries."""
+    return struct.unpack_from("<I", image, 20)[0]
+
+
+def sizes_text(made: Coded) -> str:
+    """Give mission_sizes.h."""
+    lines = [f"#define KEEPOUT_{name} {size}" for name, size in sizes_of(made).items()]
+    return "\n".join(
+        [
+            f"/* Sizes of {made.mission.scenario.name}; written by `keepout export --to c`. */",
+            "#ifndef MISSION_SIZES_H",
+            "#define MISSION_SIZES_H",
+            *lines,
+            "#endif",
+            "",
+        ]
+    )
+
+
+def tables_text(made: Coded, digest: int) -> str:
+    """Give mission_tables.c, for an image of this CRC-32."""
+    numbers, field = numbers_of(made), made.law.velocity.field
+    lines = [
+        f"/* The numbers of {made.mission.scenario.name}; written by `keepout export --to c`. */",
+        "#include <math.h>",
+        "",
+        '#include "mission_tables.h"',
+        "",
+    ]
+    network = isinstance(field, NeuralField)
+    if network:
+        lines += _network(field)
+    for name in ("motion", "law", "guard"):
+        lines += [f"static const keepout_{name} {name} = {{", *_members(numbers[name]), "};", ""]
+    lines += ["const keepout_tables keepout_mission_layout = {", "    .guidance = {"]
+    lines += ["    " + line for line in _members(numbers["guidance"])] + ["    },"]
+    for name, tables in (("law_spline", made.law_tables), ("guard_spline", made.guard_tables)):
+        if tables is not None:
+            lines += [f"    .{name} = {{", *("    " + line for line in _spline(tables)), "    },"]
+    own = "law_spline" if made.law_tables is not None else "guard_spline"
+    lines += [
+        "};",
+        "",
+        f"const uint32_t keepout_mission_digest = 0x{digest:08X}u;",
+        "",
+        "void keepout_mission_with(const keepout_tables *tables, keepout_mission *mission)",
+        "{",
+        "    mission->motion = &motion;",
+        "    mission->law = &law;",
+        "    mission->guard = &guard;",
+        "    mission->guidance = &tables->guidance;",
+        f"    mission->network = {'&network' if network else 'NULL'};",
+        f"    mission->law_spline = &tables->{own};",
+        "    mission->guard_spline = &tables->guard_spline;",
+        "}",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _network(field: NeuralField) -> list[str]:
+    weights, biases = field.layers.weights, field.layers.biases
+    lines: list[str] = []
+    for number, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        arrays = [("weights", weight), ("biases", bias)]
+        for name, array in arrays[: 2 if number < len(weights) - 1 else 1]:
+            values = np.asarray(array).ravel()
+            if not np.array_equal(values, values.astype(np.float32)):  # they come from float32
+                raise AssertionError("a weight is no float32 number")
+            lines += [f"static const float {name}_{number}[{len(values)}] = {{"]
+            lines += [*_wrapped([f"{_number(value)}f" for value in values]), "};"]
+    hidden = len(weights) - 1
+    members = {
+        "layers": hidden,
+        "width": np.array([len(bias) for bias in biases[:-1]]),
+        "weights": "{" + ", ".join(f"weights_{i}" for i in range(hidden)) + "}",
+        "biases": "{" + ", ".join(f"biases_{i}" for i in range(hidden)) + "}",
+        "last_weights": f"weights_{hidden}",
+        "last_bias": f"{_number(float(biases[-1][0]))}f",
+        "beta": field.beta,
+        "scale": field.scale,
+        "continuation": _continuation(field.continuation),
+    }
+    return [*lines, "", "static const keepout_network network = {", *_members(members), "};", ""]
+
+
+def _spline(tables: SplineTables) -> list[str]:
+    blocks = [len(level.scale) for level in tables.levels] + [int(np.prod(tables.shape))]
+    members = {
+        "levels": len(blocks),
+        "shape": np.array(tables.shape),
+        "bricks": np.array(tables.brick.shape),
+        "brick_count": f"{len(tables.base)}u",
+        "blocks": "{" + ", ".join(f"{count}u" for count in blocks) + "}",
+        "origin": tables.origin,
+        "spacing": tables.spacing,
+        "continuation": _continuation(tables.continuation),
+    }
+    return _members(members)
+
+
+def _continuation(cont: RadialContinuation) -> str:
+    names = ("centre", "target_radius", "domain_radius", "outer_radius", "allowance")
+    return "{" + ", ".join(f".{name} = {value_text(getattr(cont, name))}" for name in names) + "}"
+
+
+def _members(numbers: dict[str, Any]) -> list[str]:
+    return [f"    .{name} = {value_text(value)}," for name, value in numbers.items()]
+
+
+def value_text(value: Any) -> str:
+    """Give a number or an array as a C initialiser; text is left as it is."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    array = np.asarray(value)
+    if array.ndim == 0:
+        return _number(float(array))
+    return (
+        "{"
+        + ", ".join(value_text(int(row) if array.dtype.kind in "iu" and array.ndim == 1 else row) for row in array)
+        + "}"
+    )
+
+
+def _number(value: float) -> str:
+    """Give a number's shortest decimal text: every compiler that rounds correctly reads the same double again."""
+    if math.isnan(value):
+        return "NAN"
+    if math.isinf(value):
+        return "INFINITY" if value > 0.0 else "-INFINITY"
+    text = repr(float(value))
+    return text if "." in text or "e" in text else f"{text}.0"
+
+
+def _wrapped(words: list[str]) -> list[str]:
+    lines, line = [], "   "
+    for word in words:
+        if len(line) + len(word) + 2 > _LINE:
+            lines.append(line)
+            line = "   "
+        line += f" {word},"
+    return [*lines, line]
+
 
 STEPS = 64
 """Stored in the self-test."""
@@ -56,12 +231,12 @@ def write_flight_code(
         mission = prepare(scenario, progress=part_of(progress, 0.0, 0.5))
     progress(0.5, "packing tables")
     made = coded(mission)
-    image = c_text.image_of(made)
+    image = image_of(made)
     progress(0.6, "self-test: its steps are flown in Python")
     files: dict[str, bytes] = {
         "tables.bin": image,
-        "mission_sizes.h": c_text.sizes_text(made).encode(),
-        "mission_tables.c": c_text.tables_text(made, c_text.digest_of(image)).encode(),
+        "mission_sizes.h": sizes_text(made).encode(),
+        "mission_tables.c": tables_text(made, digest_of(image)).encode(),
         "selftest_steps.h": _selftest(made),
         "flight_begin.h": _begin(made, len(image)),
     }
@@ -148,7 +323,7 @@ def _selftest(made: Coded) -> bytes:
         *[f"    {_estimate(state)}," for state in told],
         "};",
         f"static const keepout_order selftest_orders[{STEPS}] = {{",
-        *[f"    {{{', '.join(c_text.value_text(part) for part in order)}}}," for order in answered],
+        *[f"    {{{', '.join(value_text(part) for part in order)}}}," for order in answered],
         "};",
     )
 
@@ -164,7 +339,7 @@ def _begin(made: Coded, image: int) -> bytes:
 
 def _estimate(state: MotionState) -> str:
     parts = (state.time, state.position, state.velocity, state.attitude, state.angular_velocity)
-    return "{" + ", ".join(c_text.value_text(part) for part in parts) + "}"
+    return "{" + ", ".join(value_text(part) for part in parts) + "}"
 
 
 def _readme(made: Coded, image: int, text: str) -> str:

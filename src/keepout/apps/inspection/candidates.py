@@ -15,8 +15,8 @@ from scipy import sparse
 
 from keepout.apps.inspection.passive import Drifting
 from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.seeing.patches import axes_across
 from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, visible
+from keepout.apps.led.camera import axes_across
 from keepout.core.cores import available_cores
 from keepout.core.kernel import kernel
 from keepout.core.progress import Progress, part_of, silent

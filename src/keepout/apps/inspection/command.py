@@ -37,17 +37,13 @@ def require_mission(path: Path) -> None:
 def inspect_to_folder(
     scenario: "Scenario", out: Path, *, figures: bool = True, progress: Progress = silent
 ) -> dict[str, Any]:
-    """Inspect as a scenario says; write flight, frames, the unseen, pictures, page and `summary.json` into `out`.
-
-    Nothing is written, and no folder left, where the scenario is refused.
-    """
+    """Inspect as a scenario says; write flight, frames, the unseen, pictures, page and `summary.json` into `out`."""
     from keepout.apps.inspection.inspect import inspect
-    from keepout.apps.inspection.inspection_page import write_inspection
-    from keepout.flights.pages.folder import results_in
 
-    with results_in(out):
-        inspection = inspect(scenario, progress=part_of(progress, 0.0, 0.9))
-        return write_inspection(out, inspection, figures=figures, progress=part_of(progress, 0.9, 1.0))
+    inspection = inspect(scenario, progress=part_of(progress, 0.0, 0.9))
+    from keepout.apps.inspection.inspection_page import write_inspection  # what draws: not for a refusal
+
+    return write_inspection(out, inspection, figures=figures, progress=part_of(progress, 0.9, 1.0))
 
 
 def _table(summary: dict[str, Any]) -> Table:

@@ -208,6 +208,16 @@ WORDS = {
     Fate.NOT_COUNTED: "not counted",
 }
 """For people."""
+FATE_COLOURS = {
+    Fate.SEEN: "#2fa77d",
+    Fate.MISSED: "#d9722e",
+    Fate.SHADOWED: "#3f5fa8",
+    Fate.ENCLOSED_BY_RAYS: "#5b616b",
+    Fate.NARROW_BY_RAYS: "#b76aa4",
+    Fate.UNDECIDED: "#e8d44a",
+    Fate.NOT_COUNTED: "#c9ced6",
+}
+"""Told apart by colour-blind readers, on light paper and on a dark ground."""
 
 
 def fates(inspection: Inspection) -> Int8[np.ndarray, " units"]:

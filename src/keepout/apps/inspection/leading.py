@@ -9,7 +9,7 @@ import numpy as np
 
 from keepout.apps.inspection.limits import sparing
 from keepout.apps.inspection.problem import law_keeps, require_stand_off
-from keepout.apps.led.leading import Leading, Point, moved
+from keepout.apps.led.driver import Leading, Point, moved
 from keepout.core.control.barrier_grid import BarrierGrid
 from keepout.core.control.geodesic import GeodesicGuidance
 from keepout.core.control.law import Law
@@ -103,7 +103,7 @@ class AroundMesh(Leading):
         grid = BarrierGrid.build(model.field, offset, lower, upper, spacing=spacing, progress=told)
         motion = Surroundings(scenario).motion
         initial = motion.initial_state(start, np.asarray(scenario.start.velocity))
-        sensed = None if scenario.navigation.suite == "none" else navigation(scenario, motion, assumed)
+        sensed = navigation(scenario, motion, assumed)
         guard, certified = None, None
         if scenario.guard.enabled:
             # By the operator's own margin: what the stand-off asks for beyond it is the law's to keep.

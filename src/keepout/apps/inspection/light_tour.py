@@ -21,9 +21,8 @@ from scipy import sparse
 
 from keepout.apps.inspection.candidates import Views
 from keepout.apps.inspection.cover import fewest_views, shortlist
-from keepout.apps.inspection.light import LitTimes
 from keepout.apps.inspection.plan import InspectionPlan, Point, Task
-from keepout.apps.inspection.tour import Objective, Tour, turning_time
+from keepout.apps.inspection.tour import Objective, Tour
 from keepout.core.kernel import kernel
 from keepout.core.progress import Progress
 
@@ -75,33 +74,6 @@ class Cost(NamedTuple):
         return {"time": cls(), "delta_v": cls(_SIDE, 100.0), "both": cls(1.0, worth)}[objective]
 
 
-class Pace(NamedTuple):
-    """How fast a chaser goes and a camera turns.
-
-    Attributes:
-        speed: m/s.
-        acceleration: m/s².
-        turn_rate: rad/s.
-        turn_acceleration: rad/s².
-        dwell: at every view, s.
-
-    """
-
-    speed: float
-    acceleration: float
-    turn_rate: float
-    turn_acceleration: float
-    dwell: float
-
-
-class Begin(NamedTuple):
-    """Where a tour begins, at rest: place (m), where the camera looks, and when (s)."""
-
-    position: Point
-    boresight: Point
-    time: float
-
-
 @dataclass(frozen=True, eq=False)
 class LightTour:
     """Views in order, and when each is worth what it shows.
@@ -144,34 +116,25 @@ class LightTours:
     """Makes tours forward in time: views, their order and their times, so that as much as is wanted is seen.
 
     Attributes:
+        task: what is wanted, when what is lit, and where and when a tour begins, at rest.
         views: to choose from.
-        lit: when what is lit.
-        areas: (units,) m², 0 for what is not wanted.
-        goal: m² to be seen.
         lengths: (m) of the ways from a view, by its row, or from the start, -1, to all views; infinite without a way.
-        begin: where and when.
-        pace: of chaser and camera.
-        cost: what is made least.
-        most_views: in the tour.
 
     """
 
+    task: Task
     views: Views
-    lit: LitTimes
-    areas: Areas
-    goal: float
     lengths: Callable[[int], Float[np.ndarray, " v"]]
-    begin: Begin
-    pace: Pace
-    cost: Cost
-    most_views: int
 
     def __post_init__(self) -> None:
-        wanted = self.areas > 0.0
-        sees, lit = sparse.csr_array(self.views.sees[:, wanted]), self.lit.lit[:, wanted]
-        self.areas, self._indptr, self._indices = self.areas[wanted], sees.indptr.astype(np.int64), sees.indices
+        task, chaser, inspect = self.task, self.task.scenario.chaser, self.task.scenario.inspect
+        self._speed, self._acceleration = _TAKEN * chaser.speed_limit, chaser.force_limit / chaser.mass
+        self._cost = Cost.of(inspect.objective, inspect.delta_v_worth)
+        wanted = task.areas > 0.0
+        sees, lit = sparse.csr_array(self.views.sees[:, wanted]), task.lit.lit[:, wanted]
+        self._areas, self._indptr, self._indices = task.areas[wanted], sees.indptr.astype(np.int64), sees.indices
         self._indices = self._indices.astype(np.int64)
-        self._times = self.lit.times
+        self._times = task.lit.times
         self._step = float(self._times[1] - self._times[0]) if len(self._times) > 1 else 1.0
         # Between two times that is lit which is lit at both: here it counts from the first of them on.
         self._lit = lit.copy()
@@ -206,22 +169,22 @@ class LightTours:
 
     def _score(self, tour: LightTour) -> tuple[float, float]:
         """Say how good a tour is: by what it shows, no more than is wanted, and then by what it costs."""
-        cost = self.cost.seconds * (tour.end - self.begin.time) + self.cost.delta_v * tour.delta_v
-        return min(tour.area, self.goal * (1.0 - 1e-9)), -cost
+        cost = self._cost.seconds * (tour.end - self.task.time) + self._cost.delta_v * tour.delta_v
+        return min(tour.area, self.task.goal * (1.0 - 1e-9)), -cost
 
     def _made(
         self, kept: Stops, scarcity: float, chance: float, generator: np.random.Generator, barred: int = -1
     ) -> LightTour:
         """Make a tour: some views at their times, then by greed; the first of these is not the view barred."""
-        left, dwell = self.areas.copy(), self.pace.dwell
+        left, inspect = self._areas.copy(), self.task.scenario.inspect
         rows, times = [row for row, _ in kept], [at for _, at in kept]
-        now, here, moving, delta_v = self.begin.time, -1, np.zeros(3), 0.0
+        now, here, moving, delta_v = self.task.time, -1, np.zeros(3), 0.0
         for row, at in kept:
             self._strike(left, row, at)
             spent, moving = self._flown(self._legs(here, now, moving, np.array([row])), 0, at)
-            now, here, delta_v = at + dwell, row, delta_v + spent
-        whole = float(self.areas.sum())
-        while whole - float(left.sum()) < self.goal and len(rows) < self.most_views:
+            now, here, delta_v = at + inspect.dwell, row, delta_v + spent
+        whole = float(self._areas.sum())
+        while whole - float(left.sum()) < self.task.goal and len(rows) < inspect.most_views:
             legs = self._legs(here, now, moving, np.arange(len(self.views.positions)))
             row = min(max(int((now - self._times[0]) / self._step), 0), len(self._times) - 1)
             worth = left * (1.0 + self._remaining[row]) ** -scarcity
@@ -237,18 +200,19 @@ class LightTours:
             rows.append(view)
             times.append(now)
             self._strike(left, view, now)
-            now, here = now + dwell, view
+            now, here = now + inspect.dwell, view
         shown, delta_v = whole - float(left.sum()), delta_v + float(np.linalg.norm(moving))
         return LightTour(np.array(rows, dtype=np.int64), np.array(times, dtype=np.float64), now, shown, delta_v)
 
     def _legs(self, here: int, now: float, moving: Point, rows: Int[np.ndarray, " v"]) -> _Legs:
         """Give the legs from a view, or the start, to some, of a chaser that moves so (m/s)."""
-        pace, views, begin = self.pace, self.views, self.begin
-        place, looking = begin[:2] if here < 0 else (views.positions[here], views.boresights[here])
-        turns = turning_time(looking[None], views.boresights[rows], pace.turn_rate, pace.turn_acceleration)[0]
+        task, views = self.task, self.views
+        place, looking = (
+            (task.position, task.boresight) if here < 0 else (views.positions[here], views.boresights[here])
+        )
         way = self.lengths(here)[rows]
-        taken = np.maximum(way / pace.speed, turns)
-        arrival = now + taken + np.minimum(way, 1.0) * pace.speed / pace.acceleration
+        taken = np.maximum(way / self._speed, task.turns(looking[None], views.boresights[rows])[0])
+        arrival = now + taken + np.minimum(way, 1.0) * self._speed / self._acceleration
         stays = rows == here
         way = np.where(stays, 0.0, way)
         reached: Bool[np.ndarray, " v"] = np.isfinite(way)
@@ -260,7 +224,7 @@ class LightTours:
 
     def _flown(self, legs: _Legs, view: int, at: float) -> tuple[float, Point]:
         """Give the Δv of a leg to a view that is worth something at a time, and the velocity after it."""
-        if self.pace.dwell > 0.0 or at > float(legs.arrival[view]) + self._step:
+        if self.task.scenario.inspect.dwell > 0.0 or at > float(legs.arrival[view]) + self._step:
             return float(legs.change[view] + legs.stop[view]), np.zeros(3)
         return float(legs.change[view]), legs.velocity[view]
 
@@ -268,15 +232,15 @@ class LightTours:
         self, left: Areas, worth: Areas, now: float, gains: Float[np.ndarray, " v"], legs: _Legs
     ) -> tuple[int, int]:
         """Give the view to go to next and the moment of it, or -1; later moments count where none soon shows enough."""
-        times, least, soonest = self._times, _LEAST * float(self.areas.sum()), 0
+        times, least, soonest = self._times, _LEAST * float(self._areas.sum()), 0
         first = np.ceil((legs.arrival - times[0]) / self._step - 1e-9)
         first = np.where(np.isfinite(first), first, len(times)).astype(np.int64)
         shown = self._indptr, self._indices, left, worth, self._lit
-        spent = legs.arrival, legs.change + _BASE * self.pace.speed, legs.stop, self._step
+        spent = legs.arrival, legs.change + _BASE * self._speed, legs.stop, self._step
         enough: Bool[np.ndarray, " t"] | None = None
         while soonest < len(times):
             begins = self._next_light[np.clip(first, soonest, len(times))]
-            view, at = _next_view(shown, begins, times, now, gains, least, spent, tuple(self.cost))
+            view, at = _next_view(shown, begins, times, now, gains, least, spent, tuple(self._cost))
             if view >= 0:
                 return int(view), int(at)
             if enough is None:
@@ -329,12 +293,7 @@ def plan_in_light(task: Task, views: Views, progress: Progress) -> InspectionPla
     """
     scenario, found = task.scenario, len(views.positions)
     views = views.only(shortlist(views.sees, task.areas, _AMONG))
-    chaser, camera, inspect = scenario.chaser, scenario.camera, scenario.inspect
-    turning, cost = (camera.turn_rate, camera.turn_acceleration), Cost.of(inspect.objective, inspect.delta_v_worth)
-    pace = Pace(_TAKEN * chaser.speed_limit, chaser.force_limit / chaser.mass, *turning, inspect.dwell)
-    begin, wanted = Begin(task.position, task.boresight, task.time), (task.lit, task.areas, task.goal)
-    tours = LightTours(views, *wanted, task.nearly(views), begin, pace, cost, inspect.most_views)
-    made = tours.best(round(task.effort * _TRIES), seed=scenario.seed)
+    made = LightTours(task, views, task.nearly(views)).best(round(task.effort * _TRIES), seed=scenario.seed)
     progress(0.6, f"{len(made.rows)} views show {made.area:.1f} m2 in time")
     effort = _BOUND * task.effort
     bound = fewest_views(views.sees, task.areas, min(task.goal, made.area), effort=effort, seed=scenario.seed)

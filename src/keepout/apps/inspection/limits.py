@@ -26,14 +26,15 @@ from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.control.law import Command, Law, LawOfAnother
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import Faults
+from keepout.core.mission.approach import named
+from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.task_entries import HoldPointEntry
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.relative import MotionState
-from keepout.flights.thrusters.of_scenario import errors, layout
-from keepout.flights.thrusters.on_off import Allocation
+from keepout.flights.thrusters.on_off import Allocation, errors_of, layout_of
 
 _SILENT = 1e-9
 """Newtons: a thruster that gives less has no plume."""
@@ -45,6 +46,8 @@ _ROUNDS = 100
 """Projections in turn: what they leave open counts as reached."""
 _ROUNDING = 1e-7
 """Metres: more than float64 loses at that range."""
+_JUDGED_EVERY = 10.0
+"""Seconds from one state of a flight that is judged to the next."""
 
 
 class Nozzles(eqx.Module):
@@ -75,11 +78,11 @@ class Nozzles(eqx.Module):
     @classmethod
     def of(cls, scenario: Scenario) -> "Nozzles":
         """Take them from a scenario."""
-        whole = layout(scenario)
+        whole = layout_of(scenario)
         if whole is None:
             return cls()
         placed = jnp.asarray(whole.position), jnp.asarray(whole.direction), jnp.asarray(whole.force)
-        wrong = whole.misalignment, errors(scenario).excursion
+        wrong = whole.misalignment, errors_of(scenario).excursion
         return cls(*placed, *wrong, scenario.chaser.force_limit, Allocation.of(whole))
 
     def gives(self, force: Float[Array, "3"]) -> Float[Array, " n"]:
@@ -395,3 +398,33 @@ def limits_kept(scenario: Scenario, record: FlightRecord, distance: Distance, *,
     held = holds(record, inspect.hold_points, scenario.goal.tolerance)
     blown = None if protected is None else int(plume_violations(record, protected, scenario).sum())
     return LimitsKept(held, blown, record.steps, passive, pushed)
+
+
+def drifts_flown(flight: Flight) -> list[dict[str, Any]]:
+    """Judge drifts without thrust for `approach.abort_time` from states along a flight, leg by leg.
+
+    Returns:
+        For each leg that was flown, or for the flight where it has none: `name`, how many states were `judged`, and
+        from how many of them the drift is `proved_free` of contact with the mesh where nothing pushes, and where the
+        disturbance does, whatever it is within its bound (`pushed_proved_free`). Zones are not looked at.
+
+    """
+    scenario, record = flight.scenario, flight.record
+    every = max(round(_JUDGED_EVERY / scenario.control.period), 1)
+    states, seconds = states_of_record(record, every), scenario.approach.abort_time or 0.0
+    distance = flight.target.distance.distance
+    free, pushed = (
+        passive_safety(scenario, distance, states, seconds, push=push, enough=0.0).safe for push in (0.0, None)
+    )
+    legs = np.zeros(len(free), int) if record.leg is None else record.leg[::every]
+    names = ["flight"] if record.leg is None else [named("leg", leg, k) for k, leg in enumerate(scenario.leg)]
+    return [
+        {
+            "name": name,
+            "judged": int(np.sum(legs == number)),
+            "proved_free": int(np.sum(free[legs == number])),
+            "pushed_proved_free": int(np.sum(pushed[legs == number])),
+        }
+        for number, name in enumerate(names)
+        if np.any(legs == number)
+    ]

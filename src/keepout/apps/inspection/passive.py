@@ -23,9 +23,7 @@ from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.errors import InspectionError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.distance import Points
-from keepout.core.mission.approach import named
 from keepout.core.mission.bounds import perturbations
-from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.disturbance import NoDisturbance
@@ -332,40 +330,6 @@ def states_of_record(record: FlightRecord, every: int = 1) -> MotionState:
     if record.target_orbit is not None:
         names.append("target_orbit")
     return eqx.filter_vmap(MotionState)(*(column(name) for name in names))
-
-
-_JUDGED_EVERY = 10.0
-"""Seconds from one state of a flight that is judged to the next."""
-
-
-def drifts_flown(flight: Flight) -> list[dict[str, Any]]:
-    """Judge drifts without thrust for `approach.abort_time` from states along a flight, leg by leg.
-
-    Returns:
-        For each leg that was flown, or for the flight where it has none: `name`, how many states were `judged`, and
-        from how many of them the drift is `proved_free` of contact with the mesh where nothing pushes, and where the
-        disturbance does, whatever it is within its bound (`pushed_proved_free`). Zones are not looked at.
-
-    """
-    scenario, record = flight.scenario, flight.record
-    every = max(round(_JUDGED_EVERY / scenario.control.period), 1)
-    states, seconds = states_of_record(record, every), scenario.approach.abort_time or 0.0
-    distance = flight.target.distance.distance
-    free, pushed = (
-        passive_safety(scenario, distance, states, seconds, push=push, enough=0.0).safe for push in (0.0, None)
-    )
-    legs = np.zeros(len(free), int) if record.leg is None else record.leg[::every]
-    names = ["flight"] if record.leg is None else [named("leg", leg, k) for k, leg in enumerate(scenario.leg)]
-    return [
-        {
-            "name": name,
-            "judged": int(np.sum(legs == number)),
-            "proved_free": int(np.sum(free[legs == number])),
-            "pushed_proved_free": int(np.sum(pushed[legs == number])),
-        }
-        for number, name in enumerate(names)
-        if np.any(legs == number)
-    ]
 
 
 def states_at_times(

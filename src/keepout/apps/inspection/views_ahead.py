@@ -18,8 +18,7 @@ from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem, Wanted, boresight_of
 from keepout.apps.led.camera import Boresight
-from keepout.apps.led.driver import Ended, given_up_at
-from keepout.apps.led.leading import Point
+from keepout.apps.led.driver import Ended, Point, given_up_at
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
 from keepout.core.mission.scenario import Scenario

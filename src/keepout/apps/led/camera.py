@@ -99,6 +99,13 @@ def axes_towards(direction: Vector, up: Vector) -> Float[np.ndarray, "3 3"]:
     return np.column_stack([np.cross(y, z), y, z])
 
 
+def axes_across(normals: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Give two unit vectors across each unit normal: with it they are right-handed axes."""
+    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(normals, first)
+
+
 @dataclass(frozen=True, eq=False)
 class Boresight:
     """A boresight that turns; a value, which `step` makes a new one of.

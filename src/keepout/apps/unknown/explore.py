@@ -16,13 +16,19 @@ from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown import equipment
 from keepout.apps.unknown.by_map import ByMap, DeclaredBall, field_of
 from keepout.apps.unknown.cells import Tried
-from keepout.apps.unknown.departures import departures
 from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
-from keepout.apps.unknown.exploration import Exploration, TakenView
+from keepout.apps.unknown.exploration import (
+    Exploration,
+    TakenView,
+    WronglyFree,
+    broken_promises,
+    departures,
+    open_surface,
+    seen_share,
+)
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.apps.unknown.next_view import UP, Ended, NextView, Seeker, choose
 from keepout.apps.unknown.skin import Stages
-from keepout.apps.unknown.truth import WronglyFree, broken_promises, open_surface, seen_share
 from keepout.apps.unknown.view import View
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import ControlError

@@ -204,10 +204,6 @@ class KnownFreeMap:
         """Point cloud of all returns in the map's frame, by the estimated poses, m; each place once."""
         return self.returned.points()
 
-    def distance_at_nodes(self) -> Float[np.ndarray, "m m m"]:
-        """Give the distance of each cube corner to the nearest cube that is not free, m; at most `cap`."""
-        return self.spacing * np.sqrt(self.squares, dtype=np.float64)
-
     def is_free(self, points: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
         """Say of points (m) whether they lie in known-free room; outside the box everything is free."""
         cells = np.floor((points - self.origin) / self.spacing)

@@ -1,7 +1,5 @@
 """What campaigns say, as numbers: rates, distributions, influences, worst flights, refusals, and two side by side."""
 
-import math
-import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,27 +13,14 @@ from keepout.core.audit.audit import Contact
 from keepout.core.cores import available_cores
 from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.campaign import statistics
 from keepout.flights.campaign.dataset import Dataset, Words, differences, entries
-from keepout.flights.campaign.statistics import (
-    Factor,
-    Influence,
-    clopper_pearson,
-    difference_of_quantiles,
-    fisher,
-    holm,
-    influence,
-    mcnemar,
-    newcombe,
-    newcombe_paired,
-    quantile_interval,
-)
-from keepout.flights.campaign.table import FLOWN
+from keepout.flights.campaign.statistics import Factor, Influence, rank
+from keepout.flights.campaign.table import FLOWN, without_numbers
 
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 CURVE = 401
 """Points of a kept distribution."""
-_NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?([eE][-+]?\d+)?\b")
-"""A number in a reason, and no digits in a name."""
 WORST = 10
 SIGNIFICANT = 0.05
 SCATTERED = 4
@@ -207,17 +192,12 @@ def read_outcomes(reading: Dataset) -> Outcomes:
     )
 
 
-def without_numbers(reason: str) -> str:
-    """Give a reason with # for each number, so that runs refused for the same reason have the same text."""
-    return _NUMBER.sub("#", reason)
-
-
 def rates(outcomes: Outcomes) -> tuple[Rate, ...]:
     """Count success, contact and the rest, with their intervals."""
     found = []
     for name, happened, among, which in outcomes.events():
         count, total = int(np.sum(happened & among)), int(np.sum(among))
-        found.append(Rate(name, count, total, which, *clopper_pearson(count, total)))
+        found.append(Rate(name, count, total, which, *statistics.clopper_pearson(count, total)))
     return tuple(found)
 
 
@@ -241,11 +221,6 @@ def distribution(outcomes: Outcomes, figure: Figure) -> Distribution:
         ordered[places],
         (places + 1.0) / n,
     )
-
-
-def rank(n: int, share: float) -> int:
-    """Give the place, from 0 on, of a quantile among n ordered values: of rank ⌈q n⌉."""
-    return min(max(math.ceil(share * n - 1e-9 * n * share), 1), n) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,7 +310,7 @@ def results(reading: Dataset, *, progress: Progress = silent) -> Results:
     influences = tuple(one for one, _ in found)
     # What goes up and down again has no ρ: the groups are tested beside it, the smaller p-value counting as one of two.
     known = ([p for p in (one.p_value, one.p_groups) if p is not None] for one in influences)
-    corrected = tuple(holm([min(2.0 * min(some), 1.0) if some else None for some in known]))
+    corrected = tuple(statistics.holm([min(2.0 * min(some), 1.0) if some else None for some in known]))
     telling = [i for i, p in enumerate(corrected) if p is not None and p < SIGNIFICANT]
     strongest = sorted(telling, key=lambda i: -influences[i].strength)[:SCATTERED]
     progress(0.9, "worst flights")
@@ -368,7 +343,7 @@ def _influences(
             factor, made = reading.factor(name, arrays), []
             for figure, has in known.items():
                 values, rows = outcomes.figures[figure.column], points[figure]
-                one = influence(Factor(name, factor.values[has], factor.levels), figure.name, values[has])
+                one = statistics.influence(Factor(name, factor.values[has], factor.levels), figure.name, values[has])
                 drawn = Factor(name, factor.values[rows], factor.levels)
                 made.append((one, Scatter(one, figure, drawn, values[rows], ~outcomes.cleared[rows])))
             return made
@@ -531,13 +506,11 @@ def compare(first: Dataset, second: Dataset, *, progress: Progress = silent) -> 
     quantiles = tuple(found for figure in FIGURES for found in _quantiles(figure, one, other))
     progress(0.8, "differences")
     pairs = () if same is None else (_by_run(figure, one, other, same) for figure in FIGURES)
+    differing = differences(entries(first.identity), entries(second.identity))
     return Comparison(
         first,
         second,
-        tuple(
-            (name.removeprefix("scenario."), *values)
-            for name, *values in differences(entries(first.identity), entries(second.identity))
-        ),
+        tuple((name.removeprefix("scenario."), *values) for name, *values in differing),
         None if same is None else int(same.sum()),
         0 if same is None else int(np.sum(~same)),
         compared,
@@ -572,17 +545,16 @@ def _rates(one: Outcomes, other: Outcomes, same: Bool[np.ndarray, "runs"] | None
     for first, second, a, b in zip(rates(one), rates(other), one.events(), other.events(), strict=True):
         if same is None:
             counts = (first.count, first.total), (second.count, second.total)
-            found.append(RateDifference(first, second, *newcombe(*counts), fisher(*counts), None))
+            found.append(RateDifference(first, second, *statistics.newcombe(*counts), statistics.fisher(*counts), None))
             continue
         n = len(same)
         # Both must have been flown for a pair of flights, and be drawn for a pair of runs.
         (x, among), (y, among_other) = (event[1:3] for event in (a, b))
         known = same & among[:n] & among_other[:n]
         x, y = x[:n][known], y[:n][known]
-        pairs = tuple(int(np.sum(both)) for both in (x & y, x & ~y, ~x & y, ~x & ~y))
-        found.append(
-            RateDifference(first, second, *newcombe_paired(*pairs), mcnemar(pairs[1], pairs[2]), pairs)  # pyright: ignore
-        )
+        both, only, other_only, neither = (int(np.sum(of)) for of in (x & y, x & ~y, ~x & y, ~x & ~y))
+        pairs, p_value = (both, only, other_only, neither), statistics.mcnemar(only, other_only)
+        found.append(RateDifference(first, second, *statistics.newcombe_paired(*pairs), p_value, pairs))
     return tuple(found)
 
 
@@ -591,8 +563,9 @@ def _quantiles(figure: Figure, one: Outcomes, other: Outcomes) -> Iterator[dict[
     if not (len(a) and len(b)):
         return
     for share in COMPARED:
-        first, second = float(a[rank(len(a), share)]), float(b[rank(len(b), share)])
-        low, high = difference_of_quantiles((first, quantile_interval(a, share)), (second, quantile_interval(b, share)))
+        first, second = (float(of[rank(len(of), share)]) for of in (a, b))
+        intervals = (statistics.quantile_interval(of, share) for of in (a, b))
+        low, high = statistics.difference_of_quantiles(*zip((first, second), intervals))
         row = {"figure": figure.label, "quantile": f"{100.0 * share:g} %", "A": first, "B": second}
         yield row | {"A - B": first - second, "low": low, "high": high}
 
@@ -616,10 +589,10 @@ def _by_run(figure: Figure, one: Outcomes, other: Outcomes, same: Bool[np.ndarra
         mean - wide,
         mean + wide,
         float(ordered[rank(count, 0.5)]),
-        *quantile_interval(ordered, 0.5),
+        *statistics.quantile_interval(ordered, 0.5),
         lower,
         higher,
-        mcnemar(lower, higher),
+        statistics.mcnemar(lower, higher),
         ordered[places],
         (places + 1.0) / count,
     )

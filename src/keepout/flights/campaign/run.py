@@ -229,11 +229,11 @@ def scheduler_of(text: str) -> tuple[str, int]:
     return text, 0
 
 
-def flyer_on(scheduler: str, *, mixed_processors: bool = False) -> Flyer:
-    """Give who flies chunks on a cluster, or on processes started here.
+def flyer_on(scheduler: str | None, *, mixed_processors: bool = False) -> Flyer:
+    """Give who flies chunks: threads of this process, a cluster, or processes started here.
 
     Args:
-        scheduler: as for `scheduler_of`.
+        scheduler: as for `scheduler_of`; None: this process flies.
         mixed_processors: whether workers with processors of several kinds may fly one campaign. The same chunk then
             has other last bits on another kind; each part of the table names its own (`Dataset.processors`).
 
@@ -241,6 +241,8 @@ def flyer_on(scheduler: str, *, mixed_processors: bool = False) -> Flyer:
         ClusterError: not valid, or `dask.distributed` is not installed.
 
     """
+    if scheduler is None:
+        return in_threads
     address, workers = scheduler_of(scheduler)
     missing = [name for name in ("distributed", "cryptography") if importlib.util.find_spec(name) is None]
     if missing:

@@ -95,6 +95,11 @@ def mcnemar(first_only: int, second_only: int) -> float:
     return float(stats.binomtest(first_only, total, 0.5).pvalue) if total else 1.0
 
 
+def rank(n: int, share: float) -> int:
+    """Give the place, from 0 on, of a quantile among n ordered values: of rank ⌈q n⌉."""
+    return min(max(math.ceil(share * n - 1e-9 * n * share), 1), n) - 1
+
+
 def quantile_interval(ordered: Float[np.ndarray, "n"], share: float) -> Interval:
     """Bound a quantile by two of the values seen, whatever the distribution: at least `CONFIDENCE` of them hold it.
 

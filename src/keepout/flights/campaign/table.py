@@ -1,6 +1,7 @@
 """One row a run: the columns of a campaign's table, the same in every part of it, and the figures of a whole one."""
 
 import io
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,8 @@ _KINDS = {
     **dict.fromkeys(_STEPS, pa.int32()),
 }
 """Names and types of the columns that a flown run has values for."""
+_NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?([eE][-+]?\d+)?\b")
+"""A number in a reason, and no digits in a name."""
 _OF_ZONES = {"zones_entered": pa.string(), "zone_clearance": pa.float64()}
 _OF_LEGS = {"holds_kept": pa.bool_()}
 """Those of runs with zones or corridors, and with legs."""
@@ -130,6 +133,11 @@ def _figures(
         "holds_kept": held,
         **{name: int(getattr(outcome, f"{layer}_status_counts")[status]) for name, (layer, status) in _STEPS.items()},
     }
+
+
+def without_numbers(reason: str) -> str:
+    """Give a reason with # for each number, so that runs refused for the same reason have the same text."""
+    return _NUMBER.sub("#", reason)
 
 
 def to_bytes(table: pa.Table, marks: dict[str, str]) -> bytes:

@@ -228,8 +228,8 @@ def _certain(entry: NavigationEntry, given_numbers: tuple[tuple[str, float], ...
     return Certain(estimate, errors, initial)
 
 
-def navigation(scenario: Scenario, motion: RelativeMotion, assumed: GuardAssumptions) -> Navigation:
-    """Build the navigation of a scenario that names a suite.
+def navigation(scenario: Scenario, motion: RelativeMotion, assumed: GuardAssumptions) -> Navigation | None:
+    """Build the navigation of a scenario; None of one that names no suite.
 
     Args:
         scenario: its entries `navigation`, `chaser`, `control`, `disturbance` and `guard.delay`.
@@ -240,6 +240,8 @@ def navigation(scenario: Scenario, motion: RelativeMotion, assumed: GuardAssumpt
         ScenarioError: a suite that does not determine the motion, or whose set grows without end.
 
     """
+    if scenario.navigation.suite == "none":
+        return None
     sure = certain(scenario, assumed)
     suite, period = sure.estimate.suite, scenario.control.period
     start = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))

@@ -48,15 +48,20 @@ class Headline:
 def verdict_of(summary: Mapping[str, Any]) -> Headline:
     """Say what became of one flight, by the summary that `Flight`, `Exploration` and `Inspection` give."""
     contact = str(summary["contact_verdict"])
-    said, good = {
-        "no": ("No contact, proved", True),
-        "yes": ("Contact", False),
-        "undecided": ("Contact not excluded", False),
-    }[contact]
+    said = contact_said(contact, summary["minimum_clearance_m"])
+    return Headline(f"{said} at every instant." if contact == "no" else f"{said}.", contact == "no", _theorem(summary))
+
+
+def contact_said(contact: str, least: float, of: str = "the clearance") -> str:
+    """Say what an audit says of contact and, where there was none, how large a clearance (m) is at least."""
     if contact == "no":
-        least = math.floor(1e3 * summary["minimum_clearance_m"]) / 1e3  # down: it is a lower bound
-        said += f": the clearance is at least {least:.3f} m at every instant"
-    return Headline(f"{said}.", good, _theorem(summary))
+        return f"No contact, proved: {at_least(least, of)}"
+    return {"yes": "Contact", "undecided": "Contact not excluded"}[contact]
+
+
+def at_least(least: float, of: str = "the clearance") -> str:
+    """Say that a clearance is at least so many metres: down to a millimetre, as it is a lower bound."""
+    return f"{of} is at least {math.floor(1e3 * least) / 1e3:.3f} m"
 
 
 def _theorem(summary: Mapping[str, Any]) -> str:

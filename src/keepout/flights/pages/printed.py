@@ -25,7 +25,7 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place, write_whole
 from keepout.flights import requirements
 from keepout.flights.campaign.dataset import read_campaign
-from keepout.flights.campaign.results import Results, results
+from keepout.flights.campaign.results import results
 from keepout.flights.pages import campaign_page
 from keepout.flights.pages.approach_drawn import STILL, paint_bodies
 from keepout.flights.pages.figures import drawn
@@ -51,6 +51,7 @@ _UNITS = {
     **{"m3": "m³", "kg": "kg", "m": "m", "N": "N", "s": "s"},
 }
 """By the ending of an entry's name."""
+_QUIET = {"color": "#5c6675"}
 _WORDS = {"good": "#00845f", "bad": "#b00020", "open": "#8a6a00"}
 _AUDIT = (
     "The audit bounds the clearance of the recorded path from below at every instant, between the samples too, on the "
@@ -122,7 +123,7 @@ class _Sheet:
         self._figure = self._open.enter_context(drawn(width=_WIDTH, height=_HEIGHT))
         self._figure.set_layout_engine("none")
         self._down = _MARGIN
-        self._write(self._title, 0.0, size=8, color="#5c6675")
+        self._write(self._title, 0.0, size=8, **_QUIET)
         self._figure.text(0.5, 0.4 / _HEIGHT, str(self._pdf.get_pagecount() + 1), ha="center", fontsize=8)
         self._down += 0.3
         self._write(heading, 0.0, size=16, weight="bold")
@@ -140,6 +141,15 @@ class _Sheet:
     def _write(self, line: str, across: float, *, size: float = 8.5, **look: Any) -> None:
         x, y = (_MARGIN + across) / _WIDTH, 1.0 - self._down / _HEIGHT
         self._figure.text(x, y, line, fontsize=size, va="top", parse_math=False, **look)
+
+    def _lines(self, columns: Sequence[tuple[float, Sequence[str], Mapping[str, Any]]]) -> None:
+        """Add lines side by side, not parted by the end of the sheet: from where (inches), the lines, how they look."""
+        count = max(len(lines) for _, lines, _ in columns)
+        self._room(count * _LINE)
+        for k in range(count):
+            for across, lines, look in columns:
+                self._write(lines[k] if k < len(lines) else "", across, **look)
+            self._down += _LINE
 
     def heading(self, words: str) -> None:
         """Add a heading."""
@@ -169,24 +179,16 @@ class _Sheet:
             left = textwrap.wrap(words, _LABEL)
             lines = (textwrap.wrap(line, _VALUE) or [""] for line in _plain(value).split("\n"))
             right = [line for some in lines for line in some]
-            count = max(len(left), len(right))
-            self._room(count * _LINE)
-            for k in range(count):
-                self._write(left[k] if k < len(left) else "", 0.0, color="#5c6675")
-                self._write(right[k] if k < len(right) else "", 2.3)
-                self._down += _LINE
+            self._lines([(0.0, left, _QUIET), (2.3, right, {})])
         self._down += 0.1
 
     def figures(self, rows: Mapping[str, Any]) -> None:
         """Add a table of short values, two pairs of words and value a line."""
         pairs, half = [(words, _plain(value)) for words, value in rows.items()], (len(rows) + 1) // 2
-        self._room(half * _LINE)
-        for k in range(half):
-            for across, place in ((0.0, k), (3.4, k + half)):
-                if place < len(pairs):
-                    self._write(pairs[place][0], across, color="#5c6675")
-                    self._write(pairs[place][1], across + 2.3)
-            self._down += _LINE
+        columns: list[tuple[float, list[str], Mapping[str, Any]]] = []
+        for across, some in ((0.0, pairs[:half]), (3.4, pairs[half:])):
+            columns += [(across, [words for words, _ in some], _QUIET), (across + 2.3, [of for _, of in some], {})]
+        self._lines(columns)
         self._down += 0.1
 
     def table(self, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -198,15 +200,9 @@ class _Sheet:
         widths = np.maximum(wanted * min(1.0, _CHARACTERS / wanted.sum()), 6.0)
         for place, line in enumerate(cells):
             wrapped = [textwrap.wrap(cell, max(int(width) - 1, 4)) for cell, width in zip(line, widths)]
-            count = max(map(len, wrapped))
-            self._room(count * _LINE)
-            look: dict[str, Any] = (
-                {"weight": "bold"} if place == 0 else {"color": _WORDS["bad"]} if "FAIL" in line else {}
-            )
-            for k in range(count):
-                for across, cell in zip(np.cumsum([0.0, *widths[:-1]]), wrapped):
-                    self._write(cell[k] if k < len(cell) else "", across * _inches(), **look)
-                self._down += _LINE
+            look = {"weight": "bold"} if place == 0 else {"color": _WORDS["bad"]} if "FAIL" in line else {}
+            places = np.cumsum([0.0, *widths[:-1]]) * _inches()
+            self._lines([(across, cell, look) for across, cell in zip(places, wrapped)])
         self._down += 0.1
 
     def panels(self, height: float, count: int = 1, *, stacked: bool = False) -> list[Axes]:
@@ -335,7 +331,7 @@ def _flight_parts(folder: Path, progress: Progress) -> _Parts:
             paint_paths(panel, flight.target, {flight.name: record.position}, goals, eye_axes(*side))
             paint_bodies(panel, scenario, eye_axes(*side))
         words = "The path from two sides, dotted where hidden. Square: start; disc: end; star: goal."
-        sheet.words(words + (f" {STILL}" if has_rules(scenario) else ""), color="#5c6675")
+        sheet.words(words + (f" {STILL}" if has_rules(scenario) else ""), **_QUIET)
         if summary.get("guard"):
             sheet.heading("What the guard assumes, and what follows")
             sheet.figures(_numbers(summary["guard"]))
@@ -386,7 +382,7 @@ def _campaign_parts(folder: Path, progress: Progress) -> _Parts:
     def proved(sheet: _Sheet) -> None:
         sheet.verdict(campaign_page.verdict(found))
         sheet.words(f"Each flight was audited by itself. {_AUDIT}")
-        sheet.table(_rates(found))
+        sheet.table(campaign_page.rate_rows(found, "how often"))
         sheet.words(campaign_page.SAMPLING[scenario.campaign.sampling])
 
     def flown(sheet: _Sheet) -> None:
@@ -403,15 +399,3 @@ def _campaign_parts(folder: Path, progress: Progress) -> _Parts:
         "Requirements": lambda sheet: _requirements(sheet, summary, campaign_page.provenance(reading)),
     }
     return _Parts(f"Campaign {scenario.name}, {found.runs} of {reading.runs} runs", sheets)
-
-
-def _rates(found: Results) -> list[dict[str, str]]:
-    return [
-        {
-            "how often": rate.name,
-            "runs": f"{rate.count} of {rate.total} {rate.among}",
-            "rate": "–" if rate.rate is None else campaign_page.percent(rate.rate),
-            "95 % interval": f"{campaign_page.percent(rate.low)} to {campaign_page.percent(rate.high)}",
-        }
-        for rate in found.rates
-    ]

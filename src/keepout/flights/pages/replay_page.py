@@ -3,7 +3,6 @@
 import html
 import io
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -16,7 +15,7 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.approach_drawn import paint_bodies, paint_legs, paint_rules
 from keepout.flights.pages.figures import draw_signal, drawn, logarithmic, looks
-from keepout.flights.pages.head_and_foot import Provenance
+from keepout.flights.pages.head_and_foot import Provenance, at_least
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
 from keepout.flights.pages.page import Markup, embedded, foot
 from keepout.flights.pages.replayed import Replayed
@@ -70,8 +69,7 @@ def _said(flight: Replayed, told: Mapping[str, Any]) -> str:
     way = f"from [{start}] m to [{goal}] m" if flight.share is None else f"from [{start}] m, to look at all of it,"
     words = f"{flight.name}: {way} around {flight.target.name}. Contact: {verdict.contact}"
     if np.isfinite(verdict.minimum_clearance):
-        least = math.floor(1e3 * verdict.minimum_clearance) / 1e3  # down: it is a lower bound
-        words += f"; the clearance is at least {least:.3f} m at every instant"
+        words += f"; {at_least(verdict.minimum_clearance)} at every instant"
     return " ".join([". ".join([words, *verdict.remarks]) + ".", told["remark"]]).strip()
 
 

@@ -147,16 +147,9 @@ def facts_html(facts: Mapping[str, Any]) -> Markup:
     return Markup(f"<table>{rows}</table>")
 
 
-def picture(paint: Callable[[Figure], Any], words: str, *, height: float = 5.0) -> Markup:
-    """Give a figure as an element that holds it.
-
-    Args:
-        paint: draws into it.
-        words: for who cannot see it.
-        height: inches.
-
-    """
-    with drawn(width=8.0, height=height) as drawing:
+def picture(paint: Callable[[Figure], Any], words: str) -> Markup:
+    """Give what `paint` draws as an element that holds it, with words for who cannot see it."""
+    with drawn(width=8.0, height=5.0) as drawing:
         paint(drawing)
         image = io.BytesIO()
         drawing.savefig(image, format="png", dpi=100)

@@ -160,7 +160,7 @@ class MissionCommand:
         help: what it does.
         example: a command line.
         scenario: what its scenario is.
-        fly: flies a scenario into a folder, with `figures` and `progress`; gives the summary.
+        fly: flies a scenario into a folder that there is, with `figures` and `progress`; gives the summary.
         table: gives the summary for a person.
         check: refuses a file by its name.
 
@@ -363,31 +363,29 @@ FLIGHT_ROWS = {
 def flight_table(summary: Mapping[str, Any]) -> Table:
     """One row a figure: how a flight ended, whether it was safe, what it cost, and what its sensors left to know."""
     rows, known = dict(FLIGHT_ROWS), dict(summary)
+
+    def add(key: str, words: str, value: Any) -> None:
+        rows[key], known[key] = words, value
+
     navigation = summary["navigation"] or {}
     if navigation:
-        known["navigation"] = f"{navigation['suite']}, {navigation['estimate']}"
-        rows["navigation"] = "navigation: sensors, estimate"
+        add("navigation", "navigation: sensors, estimate", f"{navigation['suite']}, {navigation['estimate']}")
     for of, unit, shown_unit in (("position", "m", "m"), ("velocity", "mps", "m/s")):
         for kind, words in (("rms", "rms"), ("largest", "largest"), ("cap", "bound")):
             key = f"{of}_error_{kind}_{unit}"
             if key in navigation:
-                known[key], rows[key] = navigation[key], f"{of} error, {words} {shown_unit}"
+                add(key, f"{of} error, {words} {shown_unit}", navigation[key])
     if "zones" in summary:
-        known["zones_entered"] = {"no": "none, proved", "yes": "yes", "undecided": "not excluded"}[
-            summary["zones_entered"]
-        ]
-        known["zone_clearance_m"] = min(
-            (zone["minimum_clearance_m"] for zone in summary["zones"] if zone["minimum_clearance_m"] is not None),
-            default=None,
-        )
-        rows["zones_entered"] = "zones entered, corridors left"
-        rows["zone_clearance_m"] = "away from them, proved lower bound m"
+        entered = {"no": "none, proved", "yes": "yes", "undecided": "not excluded"}[summary["zones_entered"]]
+        add("zones_entered", "zones entered, corridors left", entered)
+        away = [of for zone in summary["zones"] if (of := zone["minimum_clearance_m"]) is not None]
+        add("zone_clearance_m", "away from them, proved lower bound m", min(away, default=None))
     if "legs" in summary:
         kept = sum(leg["kept"] for leg in summary["legs"])
-        known["holds"], rows["holds"] = f"{kept} of {len(summary['legs'])}", "holds kept"
+        add("holds", "holds kept", f"{kept} of {len(summary['legs'])}")
     if "drifts" in summary:
         judged, free = (sum(leg[key] for leg in summary["drifts"]) for key in ("judged", "proved_free"))
-        known["drifts_free"], rows["drifts_free"] = f"{free} of {judged}", "drifts without thrust proved free"
+        add("drifts_free", "drifts without thrust proved free", f"{free} of {judged}")
     if "speed_rule_excess_mps" in summary:
         rows["speed_rule_excess_mps"] = "beyond the rule of speeds, at most m/s"
     return result_table(f"Flight {summary['name']}", known, rows)
@@ -424,11 +422,10 @@ def result_table(title: str, summary: Mapping[str, Any], rows: Mapping[str, str]
 
     """
     told = {words: summary[key] for key, words in rows.items() if summary[key] is not None}
-    return _with_broken(facts_table(title, told), [summary])
-
-
-def _with_broken(table: Table, summaries: Sequence[Mapping[str, Any]]) -> Table:
-    table.caption, table.caption_justify = "\n".join(broken_assumptions(summaries)) or None, "left"
+    table = facts_table(title, told)
+    if broken := summary["assumptions_broken"]:
+        table.caption_justify = "left"
+        table.caption = f"{summary['name']}: beyond the guard's assumptions, nothing is promised: {'; '.join(broken)}"
     return table
 
 
@@ -449,15 +446,6 @@ def check_parts(summary: Mapping[str, Any]) -> list[Table | str]:
         parts += [f"  would do: {nearest['words']}" for nearest in refusal["nearest"]]
     parts.append("It flies." if summary["flies"] else "It would not be flown.")
     return parts
-
-
-def broken_assumptions(summaries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Give a line for each flight that goes beyond what its guard's theorem assumes."""
-    return [
-        f"{summary['name']}: beyond the guard's assumptions, nothing is promised: {'; '.join(broken)}"
-        for summary in summaries
-        if (broken := summary["assumptions_broken"])
-    ]
 
 
 _TARGETS: Mapping[str, Column] = {

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse
 import scipy.sparse.csgraph
 from jaxtyping import Bool, Float, Int
 
@@ -103,13 +102,6 @@ class Patches:
         """Give the share, 0 to 1, that the units seen have of the area counted."""
         areas = self.unit_areas()
         return float(areas[seen].sum() / areas.sum())
-
-
-def axes_across(normals: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Give two unit vectors across each unit normal: with it they are right-handed axes."""
-    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(normals, first)
 
 
 def neighbours(welded: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
@@ -309,8 +301,7 @@ def cut(target: Target, size: float, *, progress: Progress = silent) -> Patches:
     begin = np.append(np.flatnonzero(new), number)
     kept = _merged(corners, counts, areas, true_areas, face, begin)
     _refuse_many(target, size, float(kept.sum()))
-    pieces = corners[kept], counts[kept], true_areas[kept], face[kept]
-    patches = _placed(found, closed, pieces, size)
+    patches = _placed(found, closed, (corners[kept], counts[kept], true_areas[kept], face[kept]), size)
     progress(1.0, f"{len(patches.areas)} patches")
     return patches
 

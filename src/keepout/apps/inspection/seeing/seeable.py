@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from keepout.apps.inspection.seeing import sightlines
-from keepout.apps.inspection.seeing.patches import Patches, axes_across, hull_of
+from keepout.apps.inspection.seeing.patches import Patches, hull_of
 from keepout.apps.inspection.seeing.room import Limits, Room, beam_workspace, first_place, least_height, place_of
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
+from keepout.apps.led.camera import axes_across
 from keepout.apps.led.first_hit import DEEPEST, RayTree
 from keepout.core.kernel import kernel
 from keepout.core.progress import Progress, silent
