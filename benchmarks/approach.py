@@ -23,7 +23,7 @@ import keepout
 from keepout.core.audit.audit import Contact
 from keepout.core.flight.on_board import OnBoard
 from keepout.core.mission.build import prepare
-from keepout.core.mission.expected import expected
+from keepout.core.mission.check import expected
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.campaign.campaign import run_campaign
 

@@ -89,8 +89,8 @@ MUTANTS = {
         ("cell without its spread", "np.hypot(radius, h) - radius + (c", "(c", "grid_field grid:contact"),
         ("lowering does not change", "* cells.side * change", "* 0.0", "mutants_found"),
     ],
-    "core/audit/tube.py": [("pulses leave no room", "* tau**2 + self.excursion", "* tau**2", "pulsed")],
-    "core/audit/sample_loops.py": [
+    "core/audit/tube.py": [
+        ("pulses leave no room", "* tau**2 + self.excursion", "* tau**2", "pulsed"),
         ("half of Coriolis", "unknown + 2.0 * rate", "unknown + rate", "audit:tube"),
         ("blocks without travel", "excess[b] = max(excess[b], ", "excess[b] = min(excess[b], ", "mutants_found"),
         ("range at the sample only", "away + fastest * step[k] >", "away >", "mutants_found"),

@@ -2,9 +2,10 @@
 
 What costs much to make (a compiled program, a guard's field, the flights of an experiment) is made once. A file is
 written whole or not at all, under a digest of what it depends on: a change of that leads to another file, and never to
-an old answer.
+an old answer. By the same digests a field, a mesh or a flight is known again.
 """
 
+import hashlib
 import io
 import json
 import zipfile
@@ -16,9 +17,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from keepout.core.digest import digest
 from keepout.core.errors import KeepoutError
 from keepout.core.whole_file import write_whole
+
+
+def digest(*parts: str | bytes | np.ndarray) -> str:
+    """Give the SHA-256, in hex, of text (as UTF-8), bytes and arrays (their memory in C order), one after another.
+
+    Two arrays of another shape or type can hold the same bytes: say both in a text before the array.
+    """
+    whole = hashlib.sha256()
+    for part in parts:
+        part = part.encode() if isinstance(part, str) else part
+        whole.update(part if isinstance(part, bytes) else np.ascontiguousarray(part).tobytes())
+    return whole.hexdigest()
+
 
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """What reading a damaged file raises; a `KeepoutError` is a `ValueError`."""

@@ -6,7 +6,7 @@ from truths.solids import solid_angle
 
 from keepout.core.errors import MeshError
 from keepout.core.geometry.builtin import BUILTINS
-from keepout.core.geometry.mesh_report import enclosed_volume
+from keepout.core.geometry.mesh_input import enclosed_volume
 from keepout.core.geometry.target import Target
 
 SIZES = {

@@ -10,7 +10,7 @@ from scipy.integrate import dblquad
 from keepout.core.errors import FieldError, MeshError
 from keepout.core.fields.own import SphereField
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.mesh_report import enclosed_volume
+from keepout.core.geometry.mesh_input import enclosed_volume
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.measures.quality import gradient_errors, summarised, surface_errors

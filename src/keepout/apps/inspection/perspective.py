@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from keepout.apps.inspection.seeing.sightlines import slab
 from keepout.apps.led.camera import Pinhole
 from keepout.apps.led.first_hit import FirstHit
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 from keepout.flights.pages.mesh_pictures import fill_triangle
 
 _NEAR = 0.01

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from keepout.core.control.circulation import ConstantCirculation
 from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import ComponentwiseGuidance
 from keepout.core.control.observer import ContinuousObserver
+from keepout.core.control.velocity import ConstantCirculation
 from keepout.core.errors import ControlError
 from keepout.core.fields.neural import NeuralField
 

@@ -9,8 +9,8 @@ from scipy.spatial import KDTree
 from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.by_map import DeclaredBall
 from keepout.apps.unknown.known_free import KnownFreeMap
+from keepout.core.cores import kernel
 from keepout.core.geometry.target import Target
-from keepout.core.kernel import kernel
 from keepout.core.mission.scenario import Scenario
 
 _TOUCHED = 1e-9

@@ -13,12 +13,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keepout.core.compiled.kept_executables import kept_jit
-from keepout.core.control.circulation import ConstantCirculation
 from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import ComponentwiseGuidance
 from keepout.core.control.law import Condition
 from keepout.core.control.observer import ContinuousObserver, SampledObserver
-from keepout.core.control.velocity import SafeVelocity, VelocityPoint
+from keepout.core.control.velocity import ConstantCirculation, SafeVelocity, VelocityPoint
 from keepout.core.errors import ControlError
 from keepout.core.motion.arrays import Scalar, Vector, as_float64
 from keepout.core.motion.chaser import Chaser

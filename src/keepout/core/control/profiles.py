@@ -8,13 +8,19 @@ import numpy as np
 
 from keepout.core.compiled.tried import THREE_NUMBERS, Asked, described, is_own
 from keepout.core.control.barrier_grid import require_free
-from keepout.core.control.circulation import CirculationLaw, NoCirculation, printed_circulation
 from keepout.core.control.controller import Controller, Tracking
 from keepout.core.control.design import Operation, Tuning, conditions, drift_bound, tune
 from keepout.core.control.geodesic import Geodesic
 from keepout.core.control.guidance import Componentwise, Guidance, GuidancePlan, Point
 from keepout.core.control.observer import Observer, harmonic_observer, printed_observer
-from keepout.core.control.velocity import ClassK, SafeVelocity, SpeedCone
+from keepout.core.control.velocity import (
+    CirculationLaw,
+    ClassK,
+    NoCirculation,
+    SafeVelocity,
+    SpeedCone,
+    printed_circulation,
+)
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
 from keepout.core.motion.arrays import as_float64

@@ -25,9 +25,9 @@ import pyarrow.parquet as pq
 from jaxtyping import Bool, Float, Int
 
 from keepout import __version__
-from keepout.core.digest import digest
 from keepout.core.errors import FlightError
 from keepout.core.flight.loop import FlightLog, FlightOutcome
+from keepout.core.kept import digest
 from keepout.core.whole_file import write_whole
 
 FORMAT = "keepout-flight"

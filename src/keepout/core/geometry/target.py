@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from keepout.core.digest import digest
 from keepout.core.errors import MeshError
 from keepout.core.geometry.builtin import BUILTINS
 from keepout.core.geometry.distance import BallCloudDistance, Distance, ExactDistance
 from keepout.core.geometry.mesh_files.contents import MeshContents, resolved
-from keepout.core.geometry.mesh_input import read_surface
-from keepout.core.geometry.mesh_report import MeshReport, describe
+from keepout.core.geometry.mesh_input import MeshReport, describe, read_surface
 from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.kept import digest
 from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
 

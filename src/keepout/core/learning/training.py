@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Float32, Int
 
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.compiled.xla import NO_LIBRARIES, WIDE
-from keepout.core.digest import digest
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
 from keepout.core.fields.continuation import Domain
@@ -28,6 +27,7 @@ from keepout.core.geometry.distance import Points
 from keepout.core.geometry.level_set import random_directions
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
+from keepout.core.kept import digest
 from keepout.core.learning import losses
 from keepout.core.learning.samples import Hunt, Samples, label, normalised, training_points
 from keepout.core.learning.schedule import (

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.batches import BATCH
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import RECIPE
+from keepout.core.kept import digest
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario, ScenarioLike
