@@ -23,9 +23,9 @@ import keepout
 from keepout.core.audit.audit import Contact
 from keepout.core.flight.on_board import OnBoard
 from keepout.core.mission.build import prepare
-from keepout.core.mission.check import expected
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.campaign.campaign import run_campaign
+from keepout.verbs.check import expected
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "approach.toml"
 MASSES = [0.98, 0.99, 1.0, 1.01, 1.02]

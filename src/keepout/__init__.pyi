@@ -25,7 +25,6 @@ from .core.guard.safety_layer import SafetyLayer as SafetyLayer
 from .core.mission.build import Mission as Mission
 from .core.mission.build import fly as fly
 from .core.mission.build import prepare as prepare
-from .core.mission.check import check as check
 from .core.mission.flight import Flight as Flight
 from .core.mission.flight import Verdict as Verdict
 from .core.mission.scenario import Scenario as Scenario
@@ -38,6 +37,7 @@ from .flights.rare_events.event import RareEvent as RareEvent
 from .flights.rare_events.event import rare as rare
 from .verbs.campaigns import Campaign as Campaign
 from .verbs.campaigns import campaign as campaign
+from .verbs.check import check as check
 from .verbs.fields import fit as fit
 from .verbs.fields import measure as measure
 from .verbs.files import audit as audit

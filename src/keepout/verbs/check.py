@@ -38,8 +38,8 @@ from keepout.core.mission.target import has_way_out, load_target, require_apart,
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState
-from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.pages.mission_words import in_words
 
 _LONGEST = 4
 """Times a scenario's own duration after which a way is given up."""
@@ -298,7 +298,7 @@ def check(
     scenario = Scenario.of(scenario)
     progress(0.0, "target")
     target = load_target(scenario.target) if target is None else target
-    words = load("words", "mission")(scenario, target)
+    words = in_words(scenario, target)
     broken = broken_assumptions(scenario, target) if _bounded(scenario) else ()
     found: list[Refusal] = []
     progress(0.1, "numbers")
