@@ -33,13 +33,13 @@ from keepout.core.control.profiles import ControlWarning
 from keepout.core.errors import ControlError
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
-from keepout.core.flight.on_board import OnBoard
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import Mission, load_target, prepare
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, silent
+from keepout.flights.on_board import OnBoard
 
 PAPER = (
     "A control step, the cone program and the neural field's inference, stays below 10 ms throughout the flight, with "
