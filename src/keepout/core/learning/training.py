@@ -15,6 +15,7 @@ import optax.contrib
 import safetensors.numpy
 from jaxtyping import Array, Float, Float32, Int
 
+from keepout.core.compiled.in_batches import in_chunks
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.compiled.xla import NO_LIBRARIES, WIDE
 from keepout.core.errors import FieldError
@@ -429,12 +430,12 @@ class Learned:
 
 @functools.partial(jax.jit, static_argnums=(1,), compiler_options=WIDE)
 def _value(layers: neural.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
-    return neural.in_chunks(lambda rows: neural.value(layers, beta, rows), x, ROWS)
+    return in_chunks(lambda rows: neural.value(layers, beta, rows), x, ROWS)
 
 
 @functools.partial(jax.jit, static_argnums=(1,), compiler_options=WIDE)
 def _gradient(layers: neural.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n 3"]:
-    return neural.in_chunks(lambda rows: neural.value_and_gradient(layers, beta, rows)[1], x, ROWS)
+    return in_chunks(lambda rows: neural.value_and_gradient(layers, beta, rows)[1], x, ROWS)
 
 
 @dataclasses.dataclass(frozen=True)
