@@ -22,8 +22,7 @@ from keepout.apps.led.first_hit import FirstHit
 from keepout.core.geometry.builtin import BUILTINS, mesh
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.mesh_files.contents import MeshContents
-from keepout.core.geometry.mesh_input import describe, part_labels, weld, zero_area
-from keepout.core.geometry.target import Target
+from keepout.core.geometry.target import Target, describe, part_labels, weld, zero_area
 from keepout.core.kept import digest
 from keepout.core.whole_file import write_whole
 

@@ -21,8 +21,8 @@ import numpy as np
 from kept_rows import command
 
 from keepout.core.control import profiles
-from keepout.core.control.design import Operation
 from keepout.core.control.guidance import Straight
+from keepout.core.control.profiles import Operation
 from keepout.core.control.velocity_program import Circulation, VelocityProgram, solve
 from keepout.core.fields import neural
 from keepout.core.fields.continuation import RadialContinuation

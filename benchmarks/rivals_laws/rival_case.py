@@ -10,9 +10,9 @@ from reach_case import Case
 
 from keepout.core.control import profiles
 from keepout.core.control.controller import Controller
-from keepout.core.control.design import Operation
 from keepout.core.control.geodesic import GeodesicGuidance, geodesic_guidance
 from keepout.core.control.guidance import Straight
+from keepout.core.control.profiles import Operation
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
 from keepout.core.guard.guard import Guard

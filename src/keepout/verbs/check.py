@@ -18,10 +18,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from keepout.core.control.controller import Controller
-from keepout.core.control.design import drift_bound, tune
 from keepout.core.control.law import AheadOfDelay, Condition
 from keepout.core.control.legs import LegLaw
-from keepout.core.control.profiles import ControlWarning
+from keepout.core.control.profiles import ControlWarning, drift_bound, tune
 from keepout.core.errors import KeepoutError, KeepOutZoneError
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel

@@ -21,8 +21,8 @@ from keepout.apps.led.leading import Leading, Point
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.map_field import SLOPE, MapField
 from keepout.core.control.barrier_grid import BarrierGrid, outwards
-from keepout.core.control.design import least_offset
 from keepout.core.control.law import Law
+from keepout.core.control.profiles import least_offset
 from keepout.core.cores import kernel
 from keepout.core.errors import KeepOutZoneError, ScenarioError
 from keepout.core.guard.guard import Guard, starts_certified

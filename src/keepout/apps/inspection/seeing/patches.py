@@ -17,8 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
-from keepout.core.geometry.mesh_input import weld, zero_area
-from keepout.core.geometry.target import Target
+from keepout.core.geometry.target import Target, weld, zero_area
 from keepout.core.progress import Progress, silent
 
 FLAT = 2e-5
