@@ -33,8 +33,8 @@ from keepout.core.control.law import Command, Law
 from keepout.core.errors import ControlError
 from keepout.core.flight.batches import states_at
 from keepout.core.guard.field import RECIPE
-from keepout.core.guard.guard import starts_certified
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
+from keepout.core.guard.start import starts_certified
 from keepout.core.kept import digest
 from keepout.core.mission.build import build_guard
 from keepout.core.mission.scenario import Scenario

@@ -7,7 +7,6 @@ an old answer. By the same digests a field, a mesh or a flight is known again.
 
 import hashlib
 import io
-import json
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from keepout.core.errors import KeepoutError
-from keepout.core.whole_file import write_whole
 
 
 def digest(*parts: str | bytes | np.ndarray) -> str:
@@ -105,17 +103,3 @@ def unpacked(content: bytes) -> dict[str, np.ndarray]:
     """Give the arrays of an `.npz` file; raises one of `UNREADABLE` where it is damaged."""
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         return dict(arrays)
-
-
-NUMBERS = Form(
-    ".json",
-    lambda path: json.loads(path.read_text(encoding="utf-8")),
-    lambda path, made: write_whole(path, json.dumps(made, allow_nan=False) + "\n"),
-)
-"""Of plain JSON values."""
-ARRAYS = Form(
-    ".npz",
-    lambda path: unpacked(path.read_bytes()),
-    lambda path, made: write_whole(path, packed(made, compressed=True)),
-)
-"""Of arrays by name."""

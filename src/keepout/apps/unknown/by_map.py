@@ -25,7 +25,8 @@ from keepout.core.control.law import Law
 from keepout.core.control.profiles import least_offset
 from keepout.core.cores import kernel
 from keepout.core.errors import KeepOutZoneError, ScenarioError
-from keepout.core.guard.guard import Guard, starts_certified
+from keepout.core.guard.guard import Guard
+from keepout.core.guard.start import starts_certified
 from keepout.core.mission.law import broken_as
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings

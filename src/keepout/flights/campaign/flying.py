@@ -22,7 +22,8 @@ from keepout.core.flight.batches import Batching, fly_batches
 from keepout.core.flight.loop import FlightLog, FlightOutcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import flown_setup
-from keepout.core.guard.guard import Guard, starts_certified
+from keepout.core.guard.guard import Guard
+from keepout.core.guard.start import starts_certified
 from keepout.core.kept import digest
 from keepout.core.mission.build import Mission
 from keepout.core.mission.flight import AUDITED, Flight, judge, judged, legs_flown, record_of
