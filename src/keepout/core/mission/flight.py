@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
-from keepout.core.audit.audit import Audit, Contact, ExactMesh, audit, audit_campaign
+from keepout.core.audit.audit import Audit, Contact, ExactMesh, audit_campaign
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.control.law import ControlStatus
 from keepout.core.flight import loop
@@ -415,15 +415,7 @@ def recorded(
     """
     result = outcome(setup, log) if result is None else result
     record = record_of(scenario, target, log, result, extra)
-    verdict = audit(
-        record,
-        target,
-        chaser_radius=scenario.chaser.radius,
-        bounds=bounds,
-        force_limit=scenario.chaser.force_limit,
-        speed_limit=scenario.chaser.speed_limit,
-        regions=regions(Surroundings(scenario, target)),
-    )
+    [verdict] = judge(scenario, target, {name: getattr(record, name)[None] for name in AUDITED}, bounds=bounds)
     known = np.isfinite(record.position).all(axis=1)  # a law of one's own may command what is no number
     clearance = np.full(len(record.position), np.nan)
     clearance[known] = target.distance.distance(record.position[known]) - scenario.chaser.radius
@@ -516,7 +508,7 @@ def judge(
         tolerance: how close to the truth the clearance bounds are driven, m.
 
     """
-    chaser = scenario.chaser
+    chaser, around = scenario.chaser, Surroundings(scenario)
     return audit_campaign(
         log["time"][0],
         log["position"],
@@ -525,10 +517,10 @@ def judge(
         target,
         guard_status=log["guard_status"],
         chaser_radius=chaser.radius,
-        bounds=Surroundings(scenario).flight_bounds if bounds is None else bounds,
+        bounds=around.flight_bounds if bounds is None else bounds,
         force_limit=chaser.force_limit,
         speed_limit=chaser.speed_limit,
-        regions=regions(Surroundings(scenario)),
+        regions=regions(around),
         tolerance=tolerance,
     )
 
