@@ -44,6 +44,9 @@ from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent
 
+_STOPPING_DISTANCE = 3.0
+"""Within which a chaser must be able to stop from its speed limit, m."""
+
 
 @dataclass(frozen=True)
 class Operation:
@@ -104,13 +107,12 @@ def least_offset(speed_limit: float, period: float) -> float:
     return max(0.12, 1.2 * speed_limit * period)
 
 
-def tune(operation: Operation, *, drift_bound: float = 0.0, stopping_distance: float = 3.0) -> Tuning:
+def tune(operation: Operation, *, drift_bound: float = 0.0) -> Tuning:
     """Compute the default law's gains, and say which speed the thrusters can honour.
 
     Args:
         operation: the chaser, the control period and the disturbance bound.
         drift_bound: largest drift acceleration on the way, m/s².
-        stopping_distance: within which the chaser must be able to stop from its speed limit, m.
 
     For the paper's case (20 kg, 0.1 N, 1 Hz, 0.1 m/s) λ = 1/s, a_b = 4 mm/s², a_c = 2 mm/s², α₀ = 0.08/s.
 
@@ -130,10 +132,10 @@ def tune(operation: Operation, *, drift_bound: float = 0.0, stopping_distance: f
             f"up the thrust of {force_limit:.3g} N; drift grows with the distance of start.position and goal.position "
             "from the target; a nearer place, a larger force_limit, a lower speed or a slower turn would leave some"
         )
-    honoured = float(np.sqrt(2.0 * authority * stopping_distance))
+    honoured = float(np.sqrt(2.0 * authority * _STOPPING_DISTANCE))
     if speed_limit > honoured:
         raise ControlError(
-            f"speed_limit: {speed_limit:.3g} m/s cannot be stopped within {stopping_distance:.3g} m with "
+            f"speed_limit: {speed_limit:.3g} m/s cannot be stopped within {_STOPPING_DISTANCE:.3g} m with "
             f"{authority:.3g} m/s2; at most {honoured:.3g} m/s"
         )
     gain, observer_gain = 1.0 / period, 0.9
@@ -319,7 +321,6 @@ def default(
     start: Any | None = None,
     feedforward: bool = False,
     reach: float | None = None,
-    stopping_distance: float = 3.0,
     progress: Progress = silent,
     **gains: float,
 ) -> Controller:
@@ -339,7 +340,6 @@ def default(
         feedforward: whether to use ∂v_s/∂r v; only for fields of low curvature.
         reach: distance from the target within which the drift is bounded for tuning, m; by default that of goal
             and start.
-        stopping_distance: within which the chaser must be able to stop from its speed limit, m.
         progress: called while the guidance is made.
         **gains: entries of `Tuning` to override.
 
@@ -353,7 +353,7 @@ def default(
     if reach is None:
         reach = float(max(np.linalg.norm(goal), 0.0 if start is None else np.linalg.norm(start)))
     drift = drift_bound(operation.motion, radius=reach, speed=chaser.speed_limit)
-    tuning = _with_gains(tune(operation, drift_bound=drift, stopping_distance=stopping_distance), gains)
+    tuning = _with_gains(tune(operation, drift_bound=drift), gains)
     offset = operation.keep_out + tuning.nominal_offset
     plan = Geodesic() if guidance is None else guidance
     led = {"speed": chaser.speed_limit, "slowing_length": tuning.slowing_length, "progress": progress}
