@@ -30,17 +30,17 @@ from kept_rows import Rows, command, tell, timed
 
 import keepout
 from keepout.core.control.law import Command, Law
-from keepout.core.digest import digest
 from keepout.core.errors import ControlError
 from keepout.core.flight.batches import states_at
-from keepout.core.flight.on_board import OnBoard
 from keepout.core.guard.field import RECIPE
-from keepout.core.guard.guard import starts_certified
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
+from keepout.core.guard.start import starts_certified
+from keepout.core.kept import digest
 from keepout.core.mission.build import build_guard
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import load_target
+from keepout.flights.on_board import OnBoard
 from keepout.flights.pages import terminal
 
 VIOLATIONS = int(functools.reduce(operator.or_, (flag for flag in GuardFlag if flag is not GuardFlag.COMMAND)))

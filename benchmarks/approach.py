@@ -21,11 +21,11 @@ from kept_rows import Rows, command, on_one_line, tell
 
 import keepout
 from keepout.core.audit.audit import Contact
-from keepout.core.flight.on_board import OnBoard
 from keepout.core.mission.build import prepare
-from keepout.core.mission.expected import expected
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.campaign.campaign import run_campaign
+from keepout.flights.on_board import OnBoard
+from keepout.verbs.check import expected
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "approach.toml"
 MASSES = [0.98, 0.99, 1.0, 1.01, 1.02]

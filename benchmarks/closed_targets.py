@@ -19,13 +19,11 @@ import numpy as np
 from manifold3d import Error, Manifold, Mesh64, OpType
 
 from keepout.apps.led.first_hit import FirstHit
-from keepout.core.digest import digest
-from keepout.core.geometry.builtin import BUILTINS
+from keepout.core.geometry.builtin import BUILTINS, mesh
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.mesh_files.contents import MeshContents
-from keepout.core.geometry.mesh_report import describe, part_labels, weld, zero_area
-from keepout.core.geometry.solids import mesh
-from keepout.core.geometry.target import Target
+from keepout.core.geometry.target import Target, describe, part_labels, weld, zero_area
+from keepout.core.kept import digest
 from keepout.core.whole_file import write_whole
 
 ROOT = Path(__file__).parents[1]

@@ -3,7 +3,7 @@
 The usual way is CVXPY + Clarabel with a PyTorch field. Run as `taskset -c 0 python benchmarks/control.py [--json]`. It
 needs the extra `bench` (cvxpy, torch) and is left out, with the reason, where a package is missing.
 
-A step runs as it would on board (`keepout.core.flight.on_board`): the compiled program on the calling thread
+A step runs as it would on board (`keepout.flights.on_board`): the compiled program on the calling thread
 (`jax_cpu_enable_async_dispatch` off, to be set before JAX starts; handing over to another thread is most of the tail),
 and no garbage collection inside the loop.
 """
@@ -21,19 +21,19 @@ import numpy as np
 from kept_rows import command
 
 from keepout.core.control import profiles
-from keepout.core.control.design import Operation
 from keepout.core.control.guidance import Straight
+from keepout.core.control.profiles import Operation
 from keepout.core.control.velocity_program import Circulation, VelocityProgram, solve
 from keepout.core.fields import neural
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField
 from keepout.core.fields.own import SphereField
 from keepout.core.flight import FlightSetup
-from keepout.core.flight.on_board import OnBoard
 from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion
+from keepout.flights.on_board import OnBoard
 from keepout.flights.pages.head_and_foot import machine
 
 CHASER = Chaser(mass=20.0, radius=0.5, force_limit=0.1, speed_limit=0.1)

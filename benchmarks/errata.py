@@ -19,9 +19,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from theorems import law, layers
 
-from keepout.core.control.circulation import SwitchingCirculation, skew_circulation
 from keepout.core.control.observer import continuous, printed_observer
 from keepout.core.control.profiles import ControlWarning
+from keepout.core.control.velocity import SwitchingCirculation, skew_circulation
 from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values
 from keepout.core.flight.batches import states_at

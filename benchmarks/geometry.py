@@ -19,7 +19,8 @@ import numpy as np
 from kept_rows import with_meshes
 
 from keepout.core.geometry.offset_solid import OffsetSolid
-from keepout.core.geometry.target import LeakCheck, Target
+from keepout.core.geometry.target import Target
+from keepout.verbs.meshes import leak_warning
 
 # Aura's file has no real unit (deployed length 17.37 m); Itokawa's is normalised, and is shown at 20 m.
 SCALES = {"aura_arbitrary_units": 0.342, "itokawa": 20.0}
@@ -64,8 +65,8 @@ def measure(source: str, slices: Path | None) -> str:
     start = time.perf_counter()
     tight = OffsetSolid.build(distance, closing_radius=solid.offset).sealed_volume
     tight_build = time.perf_counter() - start
-    leak = LeakCheck(solid.offset, solid.closing_radius, tight, solid.sealed_volume, solid.envelope)
-    warnings = [*target.report.warnings, *([leak.warning] if leak.warning else []), *target.report.actions]
+    leak = leak_warning(tight, solid.sealed_volume)
+    warnings = [*target.report.warnings, *([leak] if leak else []), *target.report.actions]
     x, y, z = target.report.extents
     figures = [
         Path(source).name,

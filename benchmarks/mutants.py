@@ -31,7 +31,6 @@ KEPT = ROOT / "out" / "mutants.jsonl"
 NOTHING_RAN, OUT_OF_TIME = 5, (124, 137)
 """Exit codes of pytest, and of `timeout`."""
 ALSO = {
-    "core/audit/passage.py": "flights/exchange",
     "core/guard/braking.py": "core/mission",
     "core/control/velocity.py": "core/flight",
 }
@@ -89,8 +88,8 @@ MUTANTS = {
         ("cell without its spread", "np.hypot(radius, h) - radius + (c", "(c", "grid_field grid:contact"),
         ("lowering does not change", "* cells.side * change", "* 0.0", "mutants_found"),
     ],
-    "core/audit/tube.py": [("pulses leave no room", "* tau**2 + self.excursion", "* tau**2", "pulsed")],
-    "core/audit/sample_loops.py": [
+    "core/audit/tube.py": [
+        ("pulses leave no room", "* tau**2 + self.excursion", "* tau**2", "pulsed"),
         ("half of Coriolis", "unknown + 2.0 * rate", "unknown + rate", "audit:tube"),
         ("blocks without travel", "excess[b] = max(excess[b], ", "excess[b] = min(excess[b], ", "mutants_found"),
         ("range at the sample only", "away + fastest * step[k] >", "away >", "mutants_found"),
@@ -100,7 +99,9 @@ MUTANTS = {
         ("clearance as found", "float(bound.lower[i])", "float(bound.upper[i])", "audit:said"),
         ("balls that overlap walls", "0.9 * free * _D", "1.5 * free * _D", "audit:said"),
     ],
-    "core/audit/passage.py": [("nearer end for farther", "est = np.maximum(", "est = np.minimum(", "mutants_found")],
+    "flights/exchange/passage.py": [
+        ("nearer end for farther", "est = np.maximum(", "est = np.minimum(", "audit_of_files")
+    ],
     "flights/thrusters/on_off.py": [
         ("half an excursion", "period**2 / 32.0", "period**2 / 64.0", "thrusters:nearly_met"),
         (

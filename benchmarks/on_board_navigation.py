@@ -15,9 +15,9 @@ import numpy as np
 from kept_rows import command
 
 from keepout.core.flight import loop
-from keepout.core.flight.on_board import OnBoard
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
+from keepout.flights.on_board import OnBoard
 from keepout.flights.pages.head_and_foot import machine
 
 

@@ -35,10 +35,9 @@ from reach_case import Case
 
 import keepout
 from keepout.core.audit.audit import Contact
-from keepout.core.control.design import drift_bound, tune
 from keepout.core.control.geodesic import geodesic_guidance
 from keepout.core.control.guidance import Straight
-from keepout.core.control.profiles import ControlWarning
+from keepout.core.control.profiles import ControlWarning, drift_bound, tune
 from keepout.core.flight.batches import BATCH, states_at
 from keepout.core.mission.flight import fly_audited
 from keepout.core.mission.law import build_law, operation

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from keepout.apps.reproduction.fitted import OFFSET, largest_gradient_error
-from keepout.core.control.barrier_grid import BarrierGrid
-from keepout.core.control.fast_marching import travel_time
+from keepout.core.control.barrier_grid import BarrierGrid, travel_time
 from keepout.core.fields import load_shipped, shipped_names
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel

@@ -22,7 +22,7 @@ from kept_rows import Rows, command, tell
 
 import keepout
 from keepout.core.flight.batches import states_at
-from keepout.core.guard.guard import starts_certified
+from keepout.core.guard.start import starts_certified
 from keepout.core.mission.surroundings import Surroundings
 
 STUCK_FROM = 20.0

@@ -18,8 +18,8 @@ import numpy as np
 from kept_rows import command, keep, tell
 
 from keepout.core.control import profiles
-from keepout.core.control.design import Operation
 from keepout.core.control.guidance import Straight
+from keepout.core.control.profiles import Operation
 from keepout.core.fields.own import SphereField
 from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.disturbance import paper_disturbance

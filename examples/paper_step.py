@@ -84,7 +84,7 @@ def compare(force_limit, steps=120):
     import jax.numpy as jnp
 
     from keepout.core.control import profiles
-    from keepout.core.control.design import Operation
+    from keepout.core.control.profiles import Operation
     from keepout.core.fields.own import SphereField
     from keepout.core.motion.chaser import Chaser
     from keepout.core.motion.orbit import Orbit

@@ -155,7 +155,7 @@ def work_is_watched(monkeypatch, work):
 @pytest.mark.parametrize(
     ("command", "file", "work"),
     [
-        (("targets", "--pictures"), None, "keepout.core.geometry.mesh_report:enclosed_volume"),
+        (("targets", "--pictures"), None, "keepout.core.geometry.target:enclosed_volume"),
         (("describe", "box", "-o"), None, "keepout.verbs.meshes:survey"),
         (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.verbs.fields:measure_model"),
         (("fly", "mission.toml", "-o"), None, "keepout.core.mission.build:fly"),

@@ -148,7 +148,7 @@ MOST_PAGES, MOST_BYTES = 26, 256_000
 
 KEYS_MADE = {
     "core/mission/flight.py": ("summary", "_approach_figures", "navigation_figures"),
-    "core/mission/check.py": ("summary",),
+    "verbs/check.py": ("summary",),
     "core/mission/surroundings.py": ("guard_numbers",),
     "flights/pages/folder.py": ("write_flight",),
     "flights/requirements.py": ("judged", "judged_campaign"),
@@ -197,6 +197,7 @@ def keys_made() -> set[str]:
 
 PASSIVE = ("safe_share", "clearance_m", "spread_m")
 INNER = {"position", "velocity", "below", "chaser_radius", "prove_slope"}
+INNER |= {"duration", "least_duration", "largest_error", "way"}
 """Written as text in these functions, and keys of no summary."""
 
 

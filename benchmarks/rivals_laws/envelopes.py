@@ -17,7 +17,7 @@ import numpy as np
 
 from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.controller import Controller
-from keepout.core.control.design import Operation
+from keepout.core.control.profiles import Operation
 from keepout.core.fields.field import Field
 from keepout.core.fields.own import SphereField
 from keepout.core.measures.surface import smallest_ellipsoid

@@ -9,8 +9,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from keepout.core.digest import digest
 from keepout.core.errors import KeepoutError
+from keepout.core.kept import digest
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure
 from rivals_laws.flying import path

@@ -13,10 +13,10 @@ from keepout.core.audit.audit import Contact
 from keepout.core.errors import KeepoutError
 from keepout.core.flight.batches import states_at
 from keepout.core.flight.loop import fly
-from keepout.core.flight.on_board import OnBoard
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.mission.flight import fly_audited
 from keepout.core.mission.surroundings import Surroundings
+from keepout.flights.on_board import OnBoard
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase
 

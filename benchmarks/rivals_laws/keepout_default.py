@@ -15,7 +15,7 @@ from rivals_laws.rival_case import Point, RivalCase
 
 @dataclasses.dataclass(frozen=True)
 class KeepoutDefault(Rival):
-    """The default law, all its gains from `core/control/design.py`."""
+    """The default law, all its gains from `core/control/profiles.py`."""
 
     name = "keepout default"
 

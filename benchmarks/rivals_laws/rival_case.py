@@ -10,13 +10,13 @@ from reach_case import Case
 
 from keepout.core.control import profiles
 from keepout.core.control.controller import Controller
-from keepout.core.control.design import Operation
 from keepout.core.control.geodesic import GeodesicGuidance, geodesic_guidance
 from keepout.core.control.guidance import Straight
-from keepout.core.digest import digest
+from keepout.core.control.profiles import Operation
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
 from keepout.core.guard.guard import Guard
+from keepout.core.kept import digest
 from keepout.core.mission.build import build_guard
 from keepout.core.mission.law import operation
 from keepout.core.mission.surroundings import Surroundings

@@ -8,7 +8,7 @@ from collections import Counter
 import kept_rows
 
 import keepout
-from keepout.core.digest import digest
+from keepout.core.kept import digest
 from keepout.flights.pages.head_and_foot import machine
 from rivals_laws.flying import Flown, laws_of, step_ms
 from rivals_laws.rival import Rival

@@ -15,7 +15,7 @@ __version__ = "0.2.0"
 _public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 _OLD = {
-    "Check": ("core.mission.check:Check", "keepout.core.mission.check.Check"),
+    "Check": ("verbs.check:Check", "keepout.verbs.check.Check"),
     "FunctionField": ("core.fields.own:FunctionField", "keepout.core.fields.own.FunctionField"),
     "GuidancePlan": ("core.control.guidance:GuidancePlan", "keepout.core.control.guidance.GuidancePlan"),
     "fly_mission": ("core.mission.build:Mission.fly", "mission.fly()"),

@@ -15,7 +15,6 @@ from .core.fields.model import Certificate as Certificate
 from .core.fields.model import FieldModel as FieldModel
 from .core.fields.own import sampled_field as sampled_field
 from .core.fields.own import stated_field as stated_field
-from .core.flight.on_board import OnBoard as OnBoard
 from .core.flight.record import FlightRecord as FlightRecord
 from .core.flight.setup import Faults as Faults
 from .core.flight.setup import FlightSetup as FlightSetup
@@ -25,7 +24,6 @@ from .core.guard.safety_layer import SafetyLayer as SafetyLayer
 from .core.mission.build import Mission as Mission
 from .core.mission.build import fly as fly
 from .core.mission.build import prepare as prepare
-from .core.mission.check import check as check
 from .core.mission.flight import Flight as Flight
 from .core.mission.flight import Verdict as Verdict
 from .core.mission.scenario import Scenario as Scenario
@@ -34,10 +32,12 @@ from .core.motion.chaser import ThrusterModel as ThrusterModel
 from .core.motion.disturbance import Disturbance as Disturbance
 from .core.motion.relative import MotionState as MotionState
 from .core.proof.certificate import certify as certify
+from .flights.on_board import OnBoard as OnBoard
 from .flights.rare_events.event import RareEvent as RareEvent
 from .flights.rare_events.event import rare as rare
 from .verbs.campaigns import Campaign as Campaign
 from .verbs.campaigns import campaign as campaign
+from .verbs.check import check as check
 from .verbs.fields import fit as fit
 from .verbs.fields import measure as measure
 from .verbs.files import audit as audit

@@ -7,8 +7,7 @@ from explore_counts import bad_cubes, meeting
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.geometry.mesh_files.contents import MeshContents
-from keepout.core.geometry.mesh_report import describe
-from keepout.core.geometry.target import Target
+from keepout.core.geometry.target import Target, describe
 
 HALF = np.array([0.61, 0.42, 0.33])
 """Of the box, m."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from keepout.core.digest import digest
+from keepout.core.kept import digest
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.campaign import table
 from keepout.flights.campaign.bands import Bands

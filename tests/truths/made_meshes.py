@@ -4,8 +4,7 @@ import numpy as np
 
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.core.geometry.mesh_files.contents import MeshContents
-from keepout.core.geometry.mesh_report import describe
-from keepout.core.geometry.target import Target
+from keepout.core.geometry.target import Target, describe
 
 
 def target_of(vertices, faces, name="made"):

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from keepout.core.control.design import Operation
+from keepout.core.control.profiles import Operation
 from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion

@@ -49,8 +49,7 @@ def describe_targets(pictures: Path | None, progress: Progress) -> list[dict[str
     """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
     from keepout.core.fields import shipped_names
     from keepout.core.geometry.builtin import BUILTINS
-    from keepout.core.geometry.mesh_report import enclosed_volume
-    from keepout.core.geometry.target import Target
+    from keepout.core.geometry.target import Target, enclosed_volume
     from keepout.flights.pages.folder import results_in
 
     rows = []

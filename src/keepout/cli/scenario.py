@@ -121,7 +121,7 @@ def check_scenario(
     """
     with terminal.progress(f"check {scenario.name}") as progress:
         mission = mission_of(scenario, None, settings)  # before what checks it is imported, which takes seconds
-        from keepout.core.mission.check import check
+        from keepout.verbs.check import check
 
         summary = check(mission, progress=progress).summary()
     answer(summary, as_json, *terminal.check_parts(summary))

@@ -1,8 +1,26 @@
-"""The processor cores that this process may use, and work shared among them."""
+"""Loops over arrays compiled by Numba, the processor cores that this process may use, and work shared among them."""
 
+import inspect
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Give a decorator that compiles a function of arrays and numbers, which lets other threads run meanwhile.
+
+    Args:
+        options: of `numba.njit` beside these: `inline`, `error_model`.
+
+    """
+    import numba  # whoever only counts cores does not wait for it
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        # Run-time shape checks, where they are on, wrap the function; Numba takes it bare.
+        return numba.njit(cache=True, nogil=True, **options)(inspect.unwrap(function))
+
+    return compiled
 
 
 def allowed_cores() -> tuple[int, ...]:

@@ -2,11 +2,11 @@
 
 What costs much to make (a compiled program, a guard's field, the flights of an experiment) is made once. A file is
 written whole or not at all, under a digest of what it depends on: a change of that leads to another file, and never to
-an old answer.
+an old answer. By the same digests a field, a mesh or a flight is known again.
 """
 
+import hashlib
 import io
-import json
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,9 +16,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from keepout.core.digest import digest
 from keepout.core.errors import KeepoutError
-from keepout.core.whole_file import write_whole
+
+
+def digest(*parts: str | bytes | np.ndarray) -> str:
+    """Give the SHA-256, in hex, of text (as UTF-8), bytes and arrays (their memory in C order), one after another.
+
+    Two arrays of another shape or type can hold the same bytes: say both in a text before the array.
+    """
+    whole = hashlib.sha256()
+    for part in parts:
+        part = part.encode() if isinstance(part, str) else part
+        whole.update(part if isinstance(part, bytes) else np.ascontiguousarray(part).tobytes())
+    return whole.hexdigest()
+
 
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """What reading a damaged file raises; a `KeepoutError` is a `ValueError`."""
@@ -92,17 +103,3 @@ def unpacked(content: bytes) -> dict[str, np.ndarray]:
     """Give the arrays of an `.npz` file; raises one of `UNREADABLE` where it is damaged."""
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         return dict(arrays)
-
-
-NUMBERS = Form(
-    ".json",
-    lambda path: json.loads(path.read_text(encoding="utf-8")),
-    lambda path, made: write_whole(path, json.dumps(made, allow_nan=False) + "\n"),
-)
-"""Of plain JSON values."""
-ARRAYS = Form(
-    ".npz",
-    lambda path: unpacked(path.read_bytes()),
-    lambda path, made: write_whole(path, packed(made, compressed=True)),
-)
-"""Of arrays by name."""

@@ -30,7 +30,6 @@ GROUPS: Mapping[str, str] = MappingProxyType(
         "thrusters": "require, errors, flown: functions of a scenario with a layout of thrusters (core/mission)",
         "flight": "replay, export, plot, drifts: what a `Flight` can do, given itself and more (core/mission/flight)",
         "notebook": "flight, target, certificate: how one shows itself in a notebook, as HTML (core)",
-        "words": "mission: a function of scenario and target that says in sentences what flies (core/mission/check)",
         "navigation": "suite, certain, flown: functions that build these of a scenario with a suite (core/mission)",
     }
 )

@@ -243,7 +243,7 @@ def _honoured(scenario: Scenario, target: "Target") -> tuple[Scenario, float]:
         KeepoutError: they honour none.
 
     """
-    from keepout.core.mission.check import nearest_number, number_refusal
+    from keepout.verbs.check import nearest_number, number_refusal
 
     def at(speed: float) -> Scenario:
         return scenario.replace(chaser={"speed_limit": speed})

@@ -1,12 +1,13 @@
 """Meshes as verbs take them, and the verb describe. Needs no JAX."""
 
-import dataclasses
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from keepout.core.errors import FieldError, ScenarioError, UsageError
 from keepout.core.geometry.builtin import BUILTINS
-from keepout.core.geometry.target import Target, survey
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
 from keepout.core.mission.entries import TargetEntry
 from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.mission.target import load_target
@@ -18,6 +19,12 @@ if TYPE_CHECKING:
 
 MeshLike = Target | TargetEntry | ScenarioLike
 """A target, already loaded; a built-in target's name or the path of a mesh file; or a `ScenarioLike`, whose target."""
+
+CLOSING_RADIUS, OFFSET = 0.25, 0.03
+"""Of the two solids whose sealed volumes are compared, m: the other one's closing radius is the offset."""
+LARGEST_CHANGE = 0.2
+"""Part of the larger sealed volume by which the two may differ without a warning."""
+_COUNTED = ("triangles", "points", "parts", "open_edges", "non_manifold_edges", "degenerate_faces", "stray_parts")
 
 
 def mesh_entry(mesh: TargetEntry | ScenarioLike, **read: Any) -> TargetEntry:
@@ -93,13 +100,64 @@ def describe(
     folder = None if out is None else Path(out)
     summary: dict[str, Any] = {"lengths": "m" if entry is None else _lengths(entry)}
     with results_in(folder):
-        summary |= dataclasses.asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
+        summary |= survey(target, progress=part_of(progress, 0.0, 0.95))
         if folder is not None:
             from keepout.flights.pages.mesh_pictures import draw_target
 
             draw_target(folder / f"{target.name}.png", target)
             summary["picture"] = str(folder / f"{target.name}.png")
     return summary
+
+
+def survey(target: Target, *, progress: Progress = silent) -> dict[str, Any]:
+    """Survey a target: its mesh report, and the volumes that its offset solid seals at two closing radii.
+
+    Args:
+        target: as loaded.
+        progress: called as the two solids are built.
+
+    Returns:
+        Plain values: `points` are the balls of a point cloud; `sealed_volume_at_offset` is sealed with a closing radius
+        as small as the offset; `envelope` is the most by which the offset solid's distance lies below the exact one,
+        away from sealed gaps; `warnings` and `actions` are one line each.
+
+    """
+    start, report = time.perf_counter(), target.report
+
+    def build(radius: float, part: float) -> OffsetSolid:
+        told = part_of(progress, part, part + 0.5)
+        return OffsetSolid.build(target.distance, offset=OFFSET, closing_radius=radius, progress=told)
+
+    # One after the other, so that only one solid is in memory.
+    closed = build(CLOSING_RADIUS, 0.0)
+    volume, envelope = closed.sealed_volume, closed.envelope
+    del closed
+    at_offset = build(OFFSET, 0.5).sealed_volume
+    leak = leak_warning(at_offset, volume)
+    return {
+        "name": target.name,
+        "sha256": target.sha256,
+        **{name: getattr(report, name) for name in (*_COUNTED, "watertight", "lower", "upper", "extents")},
+        "offset": OFFSET,
+        "closing_radius": CLOSING_RADIUS,
+        "sealed_volume_at_offset": at_offset,
+        "sealed_volume": volume,
+        "envelope": envelope,
+        "warnings": report.warnings + ((leak,) if leak else ()),
+        "actions": report.actions,
+        "seconds": time.perf_counter() - start,
+    }
+
+
+def leak_warning(at_offset: float, sealed: float) -> str | None:
+    """Say that a compartment has a gap in its wall, where the volumes (m³) sealed at the two radii differ."""
+    if abs(sealed - at_offset) <= LARGEST_CHANGE * max(at_offset, sealed):
+        return None
+    return (
+        f"sealed volume {at_offset:.4g} m³ at a closing radius of {OFFSET:g} m but {sealed:.4g} m³ at "
+        f"{CLOSING_RADIUS:g} m: a compartment leaks through a gap; a chaser wider than {2.0 * CLOSING_RADIUS:g} m "
+        "cannot pass it, and it is sealed"
+    )
 
 
 def _lengths(entry: TargetEntry) -> str:

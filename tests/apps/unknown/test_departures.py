@@ -13,8 +13,8 @@ from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
 from keepout.apps.unknown.exploration import _depth, departures
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
+from keepout.core.geometry.builtin import box, mesh, unite
 from keepout.core.geometry.level_set import surface_points
-from keepout.core.geometry.solids import box, mesh, unite
 from keepout.core.geometry.target import Target
 
 CAMERA = DepthCamera(camera=Pinhole(120, 90, math.radians(60.0)), dropout=0.0005, grazing_angle=1.48)

@@ -6,7 +6,6 @@ import numpy as np
 from truths.audited import MASS, Mesh, judged
 
 from keepout.core.audit.audit import Contact
-from keepout.core.audit.passage import Chords, SampleBounds, Samples
 from keepout.core.audit.tube import FlightBounds
 
 QUIET = {"mass": MASS, "disturbance_force": 1e-6, "angular_rate": 0.0, "angular_acceleration": 0.0}
@@ -49,23 +48,3 @@ def test_the_ends_of_a_step_are_joined_by_one_motion_and_not_by_one_for_each():
         )
         bounds = FlightBounds(**(QUIET | {"disturbance_force": MASS * push}), gravity_gradient=0.0)
         assert judged(record, Mesh(1.0), radius=0.1, bounds=bounds).consistent is consistent
-
-
-def test_a_chord_to_far_away_is_as_wrong_as_its_far_end_makes_it():
-    """A straight flight away from a target that turns: the turned chord misses it by nearly half of what is stated."""
-    time, rate = np.array([0.0, 60.0]), 0.01
-
-    def turned(angle):
-        c, s = np.cos(angle), np.sin(angle)
-        return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-
-    relative, turns = np.array([[1.0, 0.0, 0.0], [30.0, 0.0, 0.0]]), np.stack([turned(rate * t) for t in time])
-    samples = Samples(time, relative, np.zeros((2, 3)), turns)
-    chords = Chords.of(samples, SampleBounds(0.0, 0.0, sample_error=0.0), np.array([rate]), np.zeros(3))
-    parts = np.linspace(0.0, 1.0, 41)
-    none = np.zeros(41, int)
-    point, error, _ = chords.piece(none, none, parts, parts)
-    way = [turned(rate * 60.0 * p) @ ((1.0 - p) * relative[0] + p * relative[1]) for p in parts]
-    away = np.linalg.norm(point - way, axis=1)
-    assert (away <= error + 1e-12).all()
-    assert away.max() > 0.4 * error.max()

@@ -22,7 +22,7 @@ from keepout.core.compiled.kept_executables import (
     kept_jit,
 )
 from keepout.core.compiled.kept_programs import VARIABLE, keep_programs
-from keepout.core.control.design import Tuning
+from keepout.core.control.profiles import Tuning
 from keepout.core.fields import field
 from keepout.core.fields.own import SphereField
 

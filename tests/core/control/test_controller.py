@@ -11,11 +11,11 @@ from truths.operations import operation
 
 from keepout.core.control import profiles
 from keepout.core.control.barrier_grid import BarrierGrid
-from keepout.core.control.design import conditions, tune
 from keepout.core.control.geodesic import Geodesic
 from keepout.core.control.guidance import Straight, StraightGuidance
 from keepout.core.control.law import AheadOfDelay, ControlStatus
 from keepout.core.control.observer import constant_observer
+from keepout.core.control.profiles import conditions, tune
 from keepout.core.control.velocity import SpeedCone
 from keepout.core.errors import ControlError
 from keepout.core.fields.own import BoxUnionField

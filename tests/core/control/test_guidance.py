@@ -8,11 +8,10 @@ import pytest
 from scipy import ndimage
 from scipy.interpolate import BSpline
 
-from keepout.core.control.barrier_grid import BarrierGrid, _refined
-from keepout.core.control.circulation import SwitchingCirculation, skew
-from keepout.core.control.fast_marching import downhill, travel_time
+from keepout.core.control.barrier_grid import BarrierGrid, _refined, downhill, travel_time
 from keepout.core.control.geodesic import GeodesicGuidance, geodesic_guidance, packed
 from keepout.core.control.guidance import ComponentwiseGuidance, StraightGuidance
+from keepout.core.control.velocity import SwitchingCirculation, skew
 from keepout.core.errors import ControlError
 from keepout.core.fields.own import BoxUnionField, SphereField
 

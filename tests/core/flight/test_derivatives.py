@@ -8,10 +8,10 @@ import pytest
 from truths import operations
 
 from keepout.core.control import profiles
-from keepout.core.control.circulation import SwitchingCirculation
 from keepout.core.control.geodesic import Geodesic
 from keepout.core.control.guidance import Straight
 from keepout.core.control.observer import NoObserver
+from keepout.core.control.velocity import SwitchingCirculation
 from keepout.core.errors import ControlError
 from keepout.core.fields.own import SphereField
 from keepout.core.flight import loop

@@ -8,8 +8,7 @@ from truths.solids import solid_angle
 
 from keepout.core.errors import MeshError
 from keepout.core.geometry.builtin import BUILTINS
-from keepout.core.geometry.mesh_report import enclosed_volume
-from keepout.core.geometry.target import Target
+from keepout.core.geometry.target import Target, enclosed_volume
 
 SIZES = {
     "intelsat30": ((26.8, 8.0, 6.1), 0.15),

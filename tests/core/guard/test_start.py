@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from truths.guarded_worlds import guard_in, motion_state, units
 
 from keepout.core.errors import ControlError
-from keepout.core.guard.guard import require_flyable
+from keepout.core.guard.start import require_flyable
 from keepout.core.motion.arrays import numbers_as_arrays
 
 pytestmark = pytest.mark.long

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from truths import small_box
 
-from keepout.core.measures.quality import measure_model
 from keepout.flights.pages.mesh_pictures import eye_axes, rasterise
+from keepout.verbs.fields import measure_model
 
 
 @pytest.mark.slow  # test_commands.py measures a field

@@ -10,9 +10,8 @@ from scipy.integrate import dblquad
 from keepout.core.errors import FieldError, MeshError
 from keepout.core.fields.own import SphereField
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.mesh_report import enclosed_volume
 from keepout.core.geometry.offset_solid import OffsetSolid
-from keepout.core.geometry.target import Target
+from keepout.core.geometry.target import Target, enclosed_volume
 from keepout.core.measures.quality import gradient_errors, summarised, surface_errors
 from keepout.core.measures.surface import (
     Ellipsoid,

@@ -12,12 +12,12 @@ from truths.approaches import CORRIDOR, LEGS, SPHERE, SUN, TREE
 import keepout
 from keepout.core.audit.tube import Contact
 from keepout.core.errors import KeepoutError
-from keepout.core.flight.on_board import OnBoard
 from keepout.core.mission import approach
 from keepout.core.mission.build import prepare
-from keepout.core.mission.check import check
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
+from keepout.flights.on_board import OnBoard
+from keepout.verbs.check import check
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from keepout.core.control.design import least_offset
-from keepout.core.control.profiles import ControlWarning
+from keepout.core.control.profiles import ControlWarning, least_offset
 from keepout.core.errors import ControlError, FieldError
 from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values

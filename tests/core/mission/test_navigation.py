@@ -8,10 +8,10 @@ import pytest
 
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.build import prepare, require_navigation
-from keepout.core.mission.check import check, number_refusal
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import load_target
+from keepout.verbs.check import check, number_refusal
 
 CLOSE = {
     "duration": 150.0,

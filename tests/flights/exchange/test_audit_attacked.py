@@ -26,9 +26,9 @@ from truths.message_files import (
     xml_of,
 )
 
-from keepout.core.audit.passage import SampleBounds, Samples, audit_passage
 from keepout.core.errors import KeepoutError
 from keepout.flights.exchange.audited import Given, audit_files
+from keepout.flights.exchange.passage import SampleBounds, Samples, audit_passage
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ from truths.message_files import judged, meshed, orbits, resting, turning
 from truths.messages import GEOSTATIONARY, TUMBLING, toy_flight
 
 from keepout.core.audit.audit import Contact, audit
-from keepout.core.audit.passage import SampleBounds, Samples, angles, audit_passage
 from keepout.core.errors import ExchangeError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.surroundings import Surroundings
 from keepout.flights.exchange.audited import measured_turning_acceleration
+from keepout.flights.exchange.passage import Chords, SampleBounds, Samples, angles, audit_passage
 
 PLATE = (4.0, 4.0, 0.01)
 
@@ -188,3 +188,23 @@ def test_files_that_do_not_fit_are_refused(names, old, new, said, tmp_path):
         judged(Target.load("box"), files)
     assert said in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_chord_to_far_away_is_as_wrong_as_its_far_end_makes_it():
+    """A straight flight away from a target that turns: the turned chord misses it by nearly half of what is stated."""
+    time, rate = np.array([0.0, 60.0]), 0.01
+
+    def turned(angle):
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    relative, turns = np.array([[1.0, 0.0, 0.0], [30.0, 0.0, 0.0]]), np.stack([turned(rate * t) for t in time])
+    samples = Samples(time, relative, np.zeros((2, 3)), turns)
+    chords = Chords.of(samples, SampleBounds(0.0, 0.0, sample_error=0.0), np.array([rate]), np.zeros(3))
+    parts = np.linspace(0.0, 1.0, 41)
+    none = np.zeros(41, int)
+    point, error, _ = chords.piece(none, none, parts, parts)
+    way = [turned(rate * 60.0 * p) @ ((1.0 - p) * relative[0] + p * relative[1]) for p in parts]
+    away = np.linalg.norm(point - way, axis=1)
+    assert (away <= error + 1e-12).all()
+    assert away.max() > 0.4 * error.max()

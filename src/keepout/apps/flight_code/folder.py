@@ -22,12 +22,12 @@ from keepout.core.errors import ExchangeError
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.field import values
 from keepout.core.fields.neural import NeuralField
-from keepout.core.flight.on_board import OnBoard, Order
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place, write_whole
+from keepout.flights.on_board import OnBoard, Order
 
 FORMAT = 1
 """Of the image; as KEEPOUT_FORMAT in sources/keepout.h."""

@@ -21,7 +21,8 @@ from keepout.core.control.observer import NoObserver, SampledObserver
 from keepout.core.errors import ExchangeError
 from keepout.core.fields.grid import GridField
 from keepout.core.fields.neural import NeuralField
-from keepout.core.guard.guard import Guard, require_flyable
+from keepout.core.guard.guard import Guard
+from keepout.core.guard.start import require_flyable
 from keepout.core.mission.build import Mission
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings

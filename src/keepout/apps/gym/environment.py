@@ -18,7 +18,7 @@ from keepout.core.control.law import PolicyLaw
 from keepout.core.cores import available_cores
 from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.guard.field import guard_field
-from keepout.core.guard.guard import require_flyable
+from keepout.core.guard.start import require_flyable
 from keepout.core.mission.approach import require_one_leg
 from keepout.core.mission.build import build_guard, require_navigation
 from keepout.core.mission.scenario import Scenario, ScenarioLike

@@ -17,8 +17,7 @@ from keepout.apps.inspection.passive import Drifting
 from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, visible
 from keepout.apps.led.camera import axes_across
-from keepout.core.cores import available_cores
-from keepout.core.kernel import kernel
+from keepout.core.cores import available_cores, kernel
 from keepout.core.progress import Progress, part_of, silent
 
 Point = Float[np.ndarray, "3"]

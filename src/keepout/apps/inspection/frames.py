@@ -16,10 +16,10 @@ from keepout.apps.inspection.problem import patch_size, rules_of
 from keepout.apps.inspection.seeing.patches import Patches, cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.led.camera import angle_between
-from keepout.core.digest import digest
 from keepout.core.errors import InspectionError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
+from keepout.core.kept import digest
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target
 from keepout.core.mission.task_entries import CameraEntry

@@ -19,7 +19,7 @@ from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.sightlines import slab
 from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.led.first_hit import FirstHit
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 from keepout.flights.pages.figures import COLOURS, figure
 from keepout.flights.pages.mesh_pictures import READABLE, eye_axes, fill_triangle, rasterise
 

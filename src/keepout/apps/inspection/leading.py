@@ -17,7 +17,7 @@ from keepout.core.errors import InspectionError
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
-from keepout.core.guard.guard import require_flyable
+from keepout.core.guard.start import require_flyable
 from keepout.core.mission.build import build_guard, closing_radius, load_model, require_navigation
 from keepout.core.mission.law import broken_as
 from keepout.core.mission.scenario import Scenario

@@ -23,7 +23,7 @@ from keepout.apps.inspection.candidates import Views
 from keepout.apps.inspection.cover import fewest_views, shortlist
 from keepout.apps.inspection.plan import InspectionPlan, Point, Task
 from keepout.apps.inspection.tour import Objective, Tour
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 from keepout.core.progress import Progress
 
 _SIDE = 1e-3

@@ -22,7 +22,7 @@ from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.inspection.ways import MOST_NODES, Ways
 from keepout.apps.led.camera import Boresight
-from keepout.core.control.design import least_offset
+from keepout.core.control.profiles import least_offset
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.approach import require_one_leg

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 
 Objective = Literal["time", "delta_v", "both"]
 _SHUT_OFF = 1e7

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import shortest_path
 
-from keepout.core.control.fast_marching import travel_time
+from keepout.core.control.barrier_grid import travel_time
 from keepout.core.cores import available_cores
 from keepout.core.geometry.distance import Distance
 

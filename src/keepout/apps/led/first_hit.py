@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from keepout.core.cores import kernel
 from keepout.core.errors import MeshError
 from keepout.core.geometry.distance import Points, TriangleSoup
-from keepout.core.kernel import kernel
 
 Origins = Float[np.ndarray, "#n 3"]
 

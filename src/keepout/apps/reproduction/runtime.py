@@ -1,7 +1,7 @@
 """The paper's computation time (section VI.C.2), and flights of its law with a true cone.
 
 How long each control step takes is measured in a process of its own. There JAX runs the compiled step on the calling
-thread (`flight.on_board`), which has to be said before JAX starts, and nothing else of a reproduction takes the
+thread (`flights.on_board`), which has to be said before JAX starts, and nothing else of a reproduction takes the
 processor.
 
 Beside it the paper's law is timed as it is written the usual way: PyTorch for the field, CVXPY with Clarabel for the
@@ -34,21 +34,21 @@ from keepout.apps.reproduction.figures import draw_step_times
 from keepout.apps.reproduction.fitted import PAPER_NETWORK, paper_network, target_of
 from keepout.apps.reproduction.flown import kept_flight, trapped
 from keepout.apps.reproduction.work import Part, Table, Work, side_by_side
-from keepout.core.control.circulation import ConstantCirculation
 from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import ComponentwiseGuidance
 from keepout.core.control.observer import ContinuousObserver
 from keepout.core.control.profiles import ControlWarning
+from keepout.core.control.velocity import ConstantCirculation
 from keepout.core.errors import ControlError
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
-from keepout.core.flight.on_board import OnBoard
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import Mission, load_target, prepare
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, silent
+from keepout.flights.on_board import OnBoard
 
 Vector = Float[np.ndarray, "3"]
 

@@ -13,8 +13,7 @@ from keepout.apps.reproduction.figures import Triangles
 from keepout.apps.reproduction.fitted import CHASER_RADII, OFFSET, SHIPPED, TARGETS
 from keepout.apps.reproduction.work import Part, Table, Work
 from keepout.core.fields.model import FieldModel
-from keepout.core.geometry.mesh_report import enclosed_volume
-from keepout.core.geometry.target import Target
+from keepout.core.geometry.target import Target, enclosed_volume
 from keepout.core.measures.surface import (
     Surface,
     convex_hull,

@@ -16,9 +16,10 @@ import numpy as np
 import keepout
 from keepout.core.cores import available_cores
 from keepout.core.errors import ScenarioError
-from keepout.core.kept import ARRAYS, NUMBERS, Form, Store
+from keepout.core.kept import Form, Store, packed, unpacked
 from keepout.core.mission.flight import Flight
 from keepout.core.progress import Progress, never_back, part_of, silent
+from keepout.core.whole_file import write_whole
 from keepout.flights.pages.page import Table
 
 __all__ = ["Part", "Table", "Work", "side_by_side"]
@@ -26,6 +27,18 @@ __all__ = ["Part", "Table", "Work", "side_by_side"]
 Thing = TypeVar("Thing")
 MOST = 2
 """Computations at once, so that memory stays small."""
+NUMBERS = Form(
+    ".json",
+    lambda path: json.loads(path.read_text(encoding="utf-8")),
+    lambda path, made: write_whole(path, json.dumps(made, allow_nan=False) + "\n"),
+)
+"""Of plain JSON values."""
+ARRAYS = Form(
+    ".npz",
+    lambda path: unpacked(path.read_bytes()),
+    lambda path, made: write_whole(path, packed(made, compressed=True)),
+)
+"""Of arrays by name."""
 
 
 @dataclasses.dataclass(frozen=True)

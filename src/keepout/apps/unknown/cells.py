@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.known_free import KnownFreeMap, Seen, whole_blocks
 from keepout.apps.unknown.view import View
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 
 ACROSS = 2
 """Cubes along the edge of a cell."""

@@ -10,7 +10,7 @@ grid, bit for bit.
 import numpy as np
 from jaxtyping import Bool, UInt16
 
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 
 TILE = 32
 """Nodes across a tile."""

@@ -20,9 +20,9 @@ from keepout.apps.unknown.by_map import DeclaredBall
 from keepout.apps.unknown.known_free import LATTICE, KnownFreeMap
 from keepout.apps.unknown.next_view import Ending
 from keepout.apps.unknown.skin import Stage
+from keepout.core.cores import kernel
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
-from keepout.core.kernel import kernel
 from keepout.core.mission.scenario import Scenario
 
 SAMPLES_A_SQUARE, FEWEST, MOST = 4, 20_000, 400_000

@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float, Float32, Int, Int64
 from keepout.apps.unknown.distance_transform import renew, squares_of
 from keepout.apps.unknown.rule import BLOCK, SLACK, empty_ranges, free_cubes, pyramid, rule_of
 from keepout.apps.unknown.view import SensorBounds, View
+from keepout.core.cores import kernel
 from keepout.core.errors import MapError
-from keepout.core.kernel import kernel
 
 _MOST_CUBES = 1024
 """Across the grid: 3 GiB."""

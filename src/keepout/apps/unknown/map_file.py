@@ -17,8 +17,8 @@ import safetensors.numpy
 
 from keepout.apps.unknown.known_free import LATTICE, KnownFreeMap, Seen
 from keepout.apps.unknown.view import SensorBounds
-from keepout.core.digest import digest
 from keepout.core.errors import MapError
+from keepout.core.kept import digest
 from keepout.core.whole_file import write_whole
 
 FORMAT = "keepout-map"

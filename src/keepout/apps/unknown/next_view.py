@@ -33,7 +33,7 @@ from keepout.apps.unknown.cells import (
 )
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.ways import HopedWay, Reachable, hoped_way, reachable
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 
 UP = np.array([0.0, 0.0, 1.0])
 """What the camera holds up in the image, in the map's frame."""

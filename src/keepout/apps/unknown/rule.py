@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.apps.unknown.view import SensorBounds, View
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 
 SLACK = 1e-6
 """Metres, and pixels that a window is widened by on each side: more than the rounding of the rule's operations and of

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 from keepout.apps.unknown.cells import SURFACE, Cells, Tried
 from keepout.apps.unknown.known_free import KnownFreeMap
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 
 FAR = np.iinfo(np.int32).max
 """Length of a way to where none leads."""

@@ -22,8 +22,7 @@ import jax
 import jaxlib.version
 
 from keepout.core.cores import available_cores
-from keepout.core.digest import digest
-from keepout.core.kept import Store
+from keepout.core.kept import Store, digest
 from keepout.core.whole_file import write_whole
 
 VARIABLE = "KEEPOUT_COMPILE_CACHE"

@@ -14,8 +14,17 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, Int8, Int32
 
 from keepout.core.compiled.in_batches import joined_rows, rows_last
-from keepout.core.control.barrier_grid import FEW, FULL_SPEED_BARRIER, BarrierGrid, nodes_of, require_free
-from keepout.core.control.fast_marching import UNIT, downhill, travel_time, widest_way
+from keepout.core.control.barrier_grid import (
+    FEW,
+    FULL_SPEED_BARRIER,
+    UNIT,
+    BarrierGrid,
+    downhill,
+    nodes_of,
+    require_free,
+    travel_time,
+    widest_way,
+)
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point, SlowingGuidance, towards
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field, values

@@ -27,7 +27,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int
+
+from keepout.core.compiled.in_batches import in_chunks, joined_rows
 
 MAXIMUM_ITERATIONS = 18
 CHUNK = 128
@@ -88,32 +90,15 @@ def interior_point(program: ConicProgram) -> Iterate:
     boundary that tends to one with the affine step. Returns the last iterate; `converged` says whether residuals and
     gap came below tolerance within `MAXIMUM_ITERATIONS`.
     """
-    return jax.tree.map(lambda x: x[0], _solve_many(jax.tree.map(lambda x: x[None], program)))
+    answers = joined_rows(_solve_many, (), jax.tree.map(lambda x: x[None], program))
+    return jax.tree.map(lambda x: x[0], answers)
 
 
-@jax.custom_batching.custom_vmap
-def _solve_many(programs: ConicProgram) -> Iterate:
+def _solve_many(_: tuple[()], programs: ConicProgram) -> Iterate:
     """Solve programs along a first axis, on a CPU in chunks."""
-    count = programs.linear.shape[0]
-    if count <= 2 * CHUNK or jax.default_backend() != "cpu":
+    if jax.default_backend() != "cpu":
         return _solve_together(programs)
-    chunks = -(-count // CHUNK)
-    index = np.minimum(np.arange(chunks * CHUNK), count - 1).reshape(chunks, CHUNK)
-    answers = jax.lax.map(_solve_together, jax.tree.map(lambda x: x[index], programs))
-    return jax.tree.map(lambda x: x.reshape(chunks * CHUNK, *x.shape[2:])[:count], answers)
-
-
-@_solve_many.def_vmap
-def _merge_axes(axis_size: int, batched: PyTree, programs: ConicProgram) -> tuple[Iterate, PyTree]:
-    """Let a further axis of programs join the first."""
-
-    def merge(x: Array, has_axis: bool) -> Array:
-        whole = x if has_axis else jnp.broadcast_to(x, (axis_size, *x.shape))
-        return whole.reshape(axis_size * whole.shape[1], *whole.shape[2:])
-
-    answers = _solve_many(jax.tree.map(merge, programs, batched[0]))
-    answers = jax.tree.map(lambda x: x.reshape(axis_size, x.shape[0] // axis_size, *x.shape[1:]), answers)
-    return answers, jax.tree.map(lambda _: True, answers)
+    return in_chunks(_solve_together, programs, CHUNK)
 
 
 def _solve_together(programs: ConicProgram) -> Iterate:

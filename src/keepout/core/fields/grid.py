@@ -128,13 +128,9 @@ def own_nodes(table: Int[np.ndarray, "a b c"], blocks: Int[np.ndarray, "m 3"]) -
     offsets = [(-1, 0) if n <= 1 else (0,) if n <= 6 else (0, 1) for n in NODES]
     own = np.ones((len(blocks), STORED, STORED, STORED), dtype=bool)
     near = np.empty((len(blocks), 3, 3, 3), dtype=bool)
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                near[:, i, j, k] = stored[blocks[:, 0] + i, blocks[:, 1] + j, blocks[:, 2] + k]
-    for a, x in enumerate(offsets):
-        for b, y in enumerate(offsets):
-            for c, z in enumerate(offsets):
-                reached = near[:, np.array(x)[:, None, None] + 1, np.array(y)[:, None] + 1, np.array(z) + 1]
-                own[:, a, b, c] = reached.all(axis=(1, 2, 3))
+    for i, j, k in np.ndindex(3, 3, 3):
+        near[:, i, j, k] = stored[blocks[:, 0] + i, blocks[:, 1] + j, blocks[:, 2] + k]
+    for node in np.ndindex(STORED, STORED, STORED):
+        x, y, z = (np.array(offsets[place]) + 1 for place in node)
+        own[:, *node] = near[:, x[:, None, None], y[:, None], z].all(axis=(1, 2, 3))
     return own

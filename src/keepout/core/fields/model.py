@@ -13,13 +13,13 @@ import numpy as np
 import safetensors.numpy
 from jaxtyping import Array
 
-from keepout.core.digest import digest
 from keepout.core.errors import FieldError
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.field import Field
 from keepout.core.fields.grid import STORED, GridField
 from keepout.core.fields.neural import Layers, NeuralField
 from keepout.core.geometry.target import Target
+from keepout.core.kept import digest
 from keepout.core.plug_ins import load
 from keepout.core.whole_file import write_whole
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from keepout.core.compiled.in_batches import in_chunks
 from keepout.core.fields.continuation import Matrices, RadialContinuation, Rows, Vectors
 from keepout.core.fields.field import Field, Hessians, Points, Values
 
@@ -136,17 +137,6 @@ def _sum_of_curvatures(curvatures: list[tuple[Float[Array, "n _"], Float[Array, 
     return jnp.stack(rows, axis=-2)
 
 
-def in_chunks(function, x: Vectors, chunk: int = CHUNK):
-    """Apply a function of rows chunk by chunk; every answer keeps the rows first."""
-    n = x.shape[0]
-    if n <= 2 * chunk:
-        return function(x)
-    count = -(-n // chunk)
-    padded = jnp.concatenate([x, jnp.broadcast_to(x[-1:], (count * chunk - n, 3))])
-    answers = jax.lax.map(function, padded.reshape(count, chunk, 3))
-    return jax.tree.map(lambda y: y.reshape(count * chunk, *y.shape[2:])[:n], answers)
-
-
 class NeuralField(Field):
     """f̃(p) = s N((p - c)/s) with N a softplus network, p cast to the weights' float type after normalisation.
 
@@ -175,7 +165,7 @@ class NeuralField(Field):
             x = ((q - self.continuation.centre) / self.scale).astype(self.layers.weights[0].dtype)
             return function(self.layers, self.beta, x)
 
-        return flat, in_chunks(rows, flat), batch
+        return flat, in_chunks(rows, flat, CHUNK), batch
 
     def value(self, points: Points) -> Values:
         """Signed distance in metres."""

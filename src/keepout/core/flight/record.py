@@ -25,9 +25,9 @@ import pyarrow.parquet as pq
 from jaxtyping import Bool, Float, Int
 
 from keepout import __version__
-from keepout.core.digest import digest
 from keepout.core.errors import FlightError
 from keepout.core.flight.loop import FlightLog, FlightOutcome
+from keepout.core.kept import digest, packed, unpacked
 from keepout.core.whole_file import write_whole
 
 FORMAT = "keepout-flight"
@@ -101,10 +101,7 @@ def _digest(header: str, columns: Columns) -> str:
 
 
 def _encode_npz(envelope: str, columns: Columns) -> bytes:
-    stream = io.BytesIO()
-    header = np.frombuffer(envelope.encode(), np.uint8)
-    np.savez_compressed(stream, **{_HEADER: header}, **columns)  # pyright: ignore[reportArgumentType]
-    return stream.getvalue()
+    return packed({_HEADER: np.frombuffer(envelope.encode(), np.uint8), **columns}, compressed=True)
 
 
 def _require_size(size: int) -> None:
@@ -115,8 +112,7 @@ def _require_size(size: int) -> None:
 def _decode_npz(content: bytes) -> tuple[str, Columns]:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         _require_size(sum(entry.file_size for entry in archive.infolist()))
-    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-        columns = {name: archive[name] for name in archive.files}
+    columns = unpacked(content)
     return columns.pop(_HEADER).tobytes().decode(), columns
 
 

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from keepout.core.cores import share_among_cores
+from keepout.core.cores import kernel, share_among_cores
 from keepout.core.errors import MeshError
-from keepout.core.kernel import kernel
 
 Points = Float[np.ndarray, "n 3"]
 

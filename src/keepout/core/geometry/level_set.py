@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from keepout.core.cores import share_among_cores
+from keepout.core.cores import kernel, share_among_cores
 from keepout.core.geometry.distance import (
     BallCloudDistance,
     Distance,
@@ -12,7 +12,6 @@ from keepout.core.geometry.distance import (
     box_distance_squared,
     on_triangle,
 )
-from keepout.core.kernel import kernel
 
 _SLACK = 1e-9
 """Metres. Far above the rounding of the distances, far below any length that matters."""

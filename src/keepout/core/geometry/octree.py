@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from keepout.core.cores import share_among_cores
+from keepout.core.cores import kernel, share_among_cores
 from keepout.core.errors import MeshError
 from keepout.core.geometry.distance import Distance, Points, morton
-from keepout.core.kernel import kernel
 
 SQRT3 = float(np.sqrt(3.0))
 DEEPEST_LEVEL = 20  # three interleaved coordinates of 20 bits fit a signed 64-bit code

@@ -15,9 +15,9 @@ import optax.contrib
 import safetensors.numpy
 from jaxtyping import Array, Float, Float32, Int
 
+from keepout.core.compiled.in_batches import in_chunks
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.compiled.xla import NO_LIBRARIES, WIDE
-from keepout.core.digest import digest
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
 from keepout.core.fields.continuation import Domain
@@ -28,6 +28,7 @@ from keepout.core.geometry.distance import Points
 from keepout.core.geometry.level_set import random_directions
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
+from keepout.core.kept import digest
 from keepout.core.learning import losses
 from keepout.core.learning.samples import Hunt, Samples, label, normalised, training_points
 from keepout.core.learning.schedule import (
@@ -429,12 +430,12 @@ class Learned:
 
 @functools.partial(jax.jit, static_argnums=(1,), compiler_options=WIDE)
 def _value(layers: neural.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
-    return neural.in_chunks(lambda rows: neural.value(layers, beta, rows), x, ROWS)
+    return in_chunks(lambda rows: neural.value(layers, beta, rows), x, ROWS)
 
 
 @functools.partial(jax.jit, static_argnums=(1,), compiler_options=WIDE)
 def _gradient(layers: neural.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n 3"]:
-    return neural.in_chunks(lambda rows: neural.value_and_gradient(layers, beta, rows)[1], x, ROWS)
+    return in_chunks(lambda rows: neural.value_and_gradient(layers, beta, rows)[1], x, ROWS)
 
 
 @dataclasses.dataclass(frozen=True)

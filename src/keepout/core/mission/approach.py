@@ -25,15 +25,15 @@ from keepout.core.control.geodesic import Geodesic, GeodesicGuidance, one_behind
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point
 from keepout.core.control.law import Law
 from keepout.core.control.legs import LegGuidance, LegLaw, Legs, SpeedByDistance
-from keepout.core.digest import digest
 from keepout.core.errors import ControlError, KeepoutError, KeepOutZoneError, ScenarioError
 from keepout.core.fields import zones as shapes
 from keepout.core.fields.field import Field
 from keepout.core.fields.zones import SweptCone, Zone, ZonedField
 from keepout.core.flight.setup import FlightSetup
-from keepout.core.mission.approach_entries import SHAPES, CorridorEntry, LegEntry, ZoneEntry
+from keepout.core.kept import digest
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
+from keepout.core.mission.task_entries import SHAPES, CorridorEntry, LegEntry, ZoneEntry
 from keepout.core.motion import rotation
 from keepout.core.motion.arrays import Scalar, as_float64
 from keepout.core.motion.disturbance import NoDisturbance

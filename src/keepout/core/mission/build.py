@@ -30,8 +30,9 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
-from keepout.core.guard.guard import Guard, require_flyable
+from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import SafetyLayer
+from keepout.core.guard.start import require_flyable
 from keepout.core.mission.approach import earliest, named, require_approach, zoned
 from keepout.core.mission.first_look import require_shipped
 from keepout.core.mission.flight import Flight, judged

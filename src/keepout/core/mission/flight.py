@@ -1,7 +1,10 @@
-"""Scenarios flown, one flight or many together, and judged on the exact mesh: what became of them, in numbers."""
+"""Scenarios flown, one flight or many together, and judged on the exact mesh: what became of them, in numbers.
+
+What became of a flight's legs and of its rule of speeds is measured at the samples, of the true motion.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
-from keepout.core.audit.audit import Audit, Contact, ExactMesh, audit, audit_campaign
+from keepout.core.audit.audit import Audit, Contact, ExactMesh, audit_campaign
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.control.law import ControlStatus
 from keepout.core.flight import loop
@@ -22,13 +25,120 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
-from keepout.core.mission.approach import regions
-from keepout.core.mission.legs_flown import LegFlown, legs_flown, speed_excess
+from keepout.core.mission.approach import named, regions
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, guard_numbers
 from keepout.core.motion.relative import MotionState
 from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, silent
+
+
+@dataclass(frozen=True)
+class LegFlown:
+    """One leg, by the true positions at the control steps.
+
+    Attributes:
+        name: of the leg.
+        begun: when it was begun, s; None where the flight ended before.
+        reached: from when on the chaser stayed within the tolerance until the leg was over, s; None: it did not.
+        left: when the next leg was begun, s; None for a leg that the flight ended on.
+        held: how long it stayed there by then, s.
+        largest_error: distance from the place over the last `dwell` seconds of the leg, m, at most.
+        kept: whether the place was held within its tolerance for its dwell, and reached within its window.
+
+    """
+
+    name: str
+    begun: float | None
+    reached: float | None
+    left: float | None
+    held: float
+    largest_error: float | None
+    kept: bool
+
+    def summary(self) -> dict[str, Any]:
+        """Give the leg as plain values, named with their units."""
+        units = {"name": "name", "kept": "kept", "largest_error": "largest_error_m"}
+        return {units.get(key, f"{key}_s"): value for key, value in asdict(self).items()}
+
+
+def legs_flown(
+    scenario: Scenario,
+    time: Float[np.ndarray, "rows"],
+    position: Float[np.ndarray, "rows 3"],
+    leg: Int[np.ndarray, "rows"],
+) -> tuple[LegFlown, ...]:
+    """Judge each leg of a flight; of one that was abandoned those that were over before.
+
+    Args:
+        scenario: as flown.
+        time: of the rows, s.
+        position: the true one, m.
+        leg: under way in each row, counted from 0.
+
+    """
+    found: list[LegFlown] = []
+    abort = scenario.faults.abort_at
+    abandoned = abort is not None and scenario.approach.abort == "retreat" and time[-1] >= abort
+    if abandoned:
+        before = time < abort
+        time, position, leg = time[before], position[before], leg[before]
+    for number, entry in enumerate(scenario.leg):
+        name, rows = named("leg", entry, number), np.flatnonzero(leg == number)
+        if not rows.size:
+            found.append(LegFlown(name, None, None, None, 0.0, None, kept=False))
+            continue
+        away = np.linalg.norm(position[rows] - np.asarray(entry.position), axis=1)
+        outside = np.flatnonzero(~(away < entry.tolerance))
+        first = 0 if not outside.size else int(outside[-1]) + 1
+        there = first < len(rows)
+        reached = float(time[rows[first]]) if there else None
+        held = float(time[rows[-1]] - time[rows[first]]) if there else 0.0
+        dwelling = time[rows] >= time[rows[-1]] - entry.dwell - 1e-6
+        in_time = entry.within is None or (reached is not None and reached <= entry.within[1])
+        ended = rows[-1] + 1 < len(time)
+        found.append(
+            LegFlown(
+                name=name,
+                begun=float(time[rows[0]]),
+                reached=reached,
+                left=float(time[rows[-1] + 1]) if ended else None,
+                held=held,
+                largest_error=float(away[dwelling].max()),
+                kept=there and held >= entry.dwell - 1e-6 and in_time,
+            )
+        )
+    return tuple(one for one in found if not abandoned or one.left is not None)
+
+
+def speed_excess(
+    scenario: Scenario,
+    position: Float[np.ndarray, "rows 3"],
+    velocity: Float[np.ndarray, "rows 3"],
+    clearance: Float[np.ndarray, "rows"],
+) -> float:
+    """Give by how much, m/s, the rule of speeds was passed at most at a sample; at most 0: it was kept.
+
+    Args:
+        scenario: with the rule.
+        position: the true one, m.
+        velocity: likewise, m/s.
+        clearance: from the chaser's surface to the mesh, m.
+
+    """
+    allowed = allowed_speed(scenario, position, clearance)
+    return float(np.nanmax(np.linalg.norm(velocity, axis=1) - allowed))
+
+
+def allowed_speed(
+    scenario: Scenario, position: Float[np.ndarray, "rows 3"], clearance: Float[np.ndarray, "rows"]
+) -> Float[np.ndarray, "rows"]:
+    """Give the largest speed, m/s, that the rule of speeds allows at each sample; arguments as of `speed_excess`."""
+    rule, point = np.array(scenario.approach.speed_by_distance)[::-1], scenario.approach.distance_to
+    to_mesh = clearance + scenario.chaser.radius
+    distance = to_mesh if point is None else np.linalg.norm(position - np.asarray(point), axis=1)
+    return np.interp(distance, rule[:, 0], rule[:, 1])
+
 
 if TYPE_CHECKING:
     from keepout.core.mission.build import Mission
@@ -305,15 +415,7 @@ def recorded(
     """
     result = outcome(setup, log) if result is None else result
     record = record_of(scenario, target, log, result, extra)
-    verdict = audit(
-        record,
-        target,
-        chaser_radius=scenario.chaser.radius,
-        bounds=bounds,
-        force_limit=scenario.chaser.force_limit,
-        speed_limit=scenario.chaser.speed_limit,
-        regions=regions(Surroundings(scenario, target)),
-    )
+    [verdict] = judge(scenario, target, {name: getattr(record, name)[None] for name in AUDITED}, bounds=bounds)
     known = np.isfinite(record.position).all(axis=1)  # a law of one's own may command what is no number
     clearance = np.full(len(record.position), np.nan)
     clearance[known] = target.distance.distance(record.position[known]) - scenario.chaser.radius
@@ -406,7 +508,7 @@ def judge(
         tolerance: how close to the truth the clearance bounds are driven, m.
 
     """
-    chaser = scenario.chaser
+    chaser, around = scenario.chaser, Surroundings(scenario)
     return audit_campaign(
         log["time"][0],
         log["position"],
@@ -415,10 +517,10 @@ def judge(
         target,
         guard_status=log["guard_status"],
         chaser_radius=chaser.radius,
-        bounds=Surroundings(scenario).flight_bounds if bounds is None else bounds,
+        bounds=around.flight_bounds if bounds is None else bounds,
         force_limit=chaser.force_limit,
         speed_limit=chaser.speed_limit,
-        regions=regions(Surroundings(scenario)),
+        regions=regions(around),
         tolerance=tolerance,
     )
 

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 
 from keepout.core.control import profiles
-from keepout.core.control.circulation import NoCirculation, SwitchingCirculation, printed_circulation, skew_circulation
 from keepout.core.control.controller import Controller
-from keepout.core.control.design import Operation, least_offset
 from keepout.core.control.geodesic import Geodesic
 from keepout.core.control.guidance import Componentwise, Guidance, GuidancePlan, Straight
 from keepout.core.control.law import AheadOfDelay, Law
 from keepout.core.control.observer import NoObserver, Observer, constant_observer, harmonic_observer, printed_observer
+from keepout.core.control.profiles import Operation, least_offset
+from keepout.core.control.velocity import NoCirculation, SwitchingCirculation, printed_circulation, skew_circulation
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field, values
 from keepout.core.fields.model import FieldModel

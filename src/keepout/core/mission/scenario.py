@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission import approach_entries, entries, task_entries
+from keepout.core.mission import entries, task_entries
 from keepout.core.mission.entries import Entry, Epoch, Vector
 
 COMPONENTS = ("x", "y", "z")
@@ -75,10 +75,10 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     faults: entries.FaultsEntry = entries.FaultsEntry()
     start: entries.StateEntry = entries.StateEntry()
     goal: entries.GoalEntry = entries.GoalEntry()
-    leg: tuple[approach_entries.LegEntry, ...] = ()
-    zone: tuple[approach_entries.ZoneEntry, ...] = ()
-    corridor: tuple[approach_entries.CorridorEntry, ...] = ()
-    approach: approach_entries.ApproachEntry = approach_entries.ApproachEntry()
+    leg: tuple[task_entries.LegEntry, ...] = ()
+    zone: tuple[task_entries.ZoneEntry, ...] = ()
+    corridor: tuple[task_entries.CorridorEntry, ...] = ()
+    approach: task_entries.ApproachEntry = task_entries.ApproachEntry()
     campaign: task_entries.CampaignEntry = task_entries.CampaignEntry()
     require: task_entries.RequireEntry = task_entries.RequireEntry()
     rare: task_entries.RareEntry = task_entries.RareEntry()
@@ -99,7 +99,7 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
         last = legs[-1].model_dump() if isinstance(legs[-1], Entry) else legs[-1]
         if not isinstance(last, Mapping) or "position" not in last:
             return tree
-        tolerance = last.get("tolerance", approach_entries.LegEntry.model_fields["tolerance"].default)
+        tolerance = last.get("tolerance", task_entries.LegEntry.model_fields["tolerance"].default)
         return {**tree, "goal": {"position": last["position"], "tolerance": tolerance}}
 
     def _contradictions(self) -> Iterator[str]:

@@ -20,6 +20,8 @@ _OUTWARD = 1 + 1e-12
 
 _AT_SWITCH = 1e-9
 """Within this part of a half period a time is a switch's own: control times carry rounding."""
+_TERMS = 32
+"""Sinusoids in every axis of a noise."""
 
 
 class Disturbance(eqx.Module):
@@ -285,23 +287,21 @@ def resonant(amplitude: NumbersLike, control_period: float) -> SquareWaveDisturb
 
 
 def band_limited_noise(
-    key: PRNGKeyArray, root_mean_square: float, limit: float, band: Sequence[float], terms: int = 32
+    key: PRNGKeyArray, root_mean_square: float, limit: float, band: Sequence[float]
 ) -> BandLimitedNoise:
     """Noise with frequencies drawn evenly from `band` (two values, rad/s) and random phases, the same for the same key.
 
     root_mean_square: of the norm before the cut, N. limit: the cut of the norm, N.
 
     Raises:
-        ScenarioError: a band that is empty or negative, or fewer than one term.
+        ScenarioError: a band that is empty or negative.
 
     """
     low, high = band
     if not 0 <= low < high:
         raise ScenarioError(f"band: [{low:g}, {high:g}] rad/s; it must rise from a value that is not negative")
-    if terms < 1:
-        raise ScenarioError(f"terms: {terms}; it must be at least 1")
     frequency_key, phase_key = jax.random.split(key)
-    frequency = jax.random.uniform(frequency_key, (terms, 3), minval=low, maxval=high, dtype=jnp.float64)
-    phase = jax.random.uniform(phase_key, (terms, 3), maxval=2 * np.pi, dtype=jnp.float64)
-    amplitude = jnp.full((terms, 3), root_mean_square * np.sqrt(2 / (3 * terms)))
+    frequency = jax.random.uniform(frequency_key, (_TERMS, 3), minval=low, maxval=high, dtype=jnp.float64)
+    phase = jax.random.uniform(phase_key, (_TERMS, 3), maxval=2 * np.pi, dtype=jnp.float64)
+    amplitude = jnp.full((_TERMS, 3), root_mean_square * np.sqrt(2 / (3 * _TERMS)))
     return BandLimitedNoise(SinusoidalDisturbance(amplitude, frequency, phase), limit)

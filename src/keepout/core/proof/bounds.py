@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 from threadpoolctl import threadpool_limits
 
-from keepout.core.cores import share_among_cores
+from keepout.core.cores import kernel, share_among_cores
 from keepout.core.fields.neural import Layers
-from keepout.core.kernel import kernel
 
 CHUNK = 128
 """Elements carried together by one core: what they leave for the backward pass stays in its cache."""

@@ -15,12 +15,11 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from keepout.core.cores import share_among_cores
+from keepout.core.cores import kernel, share_among_cores
 from keepout.core.fields.field import values_and_gradients
 from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.octree import CORNERS, SQRT3
-from keepout.core.kernel import kernel
 from keepout.core.progress import Progress, silent
 from keepout.core.proof.bounds import UNIT64, Network, softplus
 

@@ -26,8 +26,8 @@ from distributed import Client, Future, KilledWorker, LocalCluster, Worker, Work
 import keepout
 from keepout.core.compiled.kept_programs import keep_programs, processor
 from keepout.core.cores import allowed_cores, available_cores
-from keepout.core.digest import digest
 from keepout.core.errors import ClusterError, KeepoutError
+from keepout.core.kept import digest
 from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk
 from keepout.flights.campaign.plan import Plan
 

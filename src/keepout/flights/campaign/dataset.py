@@ -27,8 +27,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Bool, Int
 
-from keepout.core.digest import digest
 from keepout.core.errors import FlightError, ScenarioError
+from keepout.core.kept import digest
 from keepout.core.mission.scenario import COMPONENTS, Scenario
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole

@@ -17,16 +17,16 @@ import numpy as np
 from keepout.core.audit.audit import Audit, Contact
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.compiled.kept_programs import processor
-from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.batches import Batching, fly_batches
 from keepout.core.flight.loop import FlightLog, FlightOutcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import flown_setup
-from keepout.core.guard.guard import Guard, starts_certified
+from keepout.core.guard.guard import Guard
+from keepout.core.guard.start import starts_certified
+from keepout.core.kept import digest
 from keepout.core.mission.build import Mission
-from keepout.core.mission.flight import AUDITED, Flight, judge, judged, record_of
-from keepout.core.mission.legs_flown import legs_flown
+from keepout.core.mission.flight import AUDITED, Flight, judge, judged, legs_flown, record_of
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.relative import MotionState, RelativeMotion

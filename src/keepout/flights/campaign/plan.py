@@ -20,7 +20,6 @@ import numpy as np
 import keepout
 from keepout.core.control.geodesic import Geodesic
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point
-from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.field import Field
 from keepout.core.fields.model import FieldModel
@@ -29,6 +28,7 @@ from keepout.core.flight.setup import FlightSetup, flown_setup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard
+from keepout.core.kept import digest
 from keepout.core.mission.approach import LegPlan
 from keepout.core.mission.build import Mission, closing_radius, load_model, load_target, prepare
 from keepout.core.mission.law import named_guidance

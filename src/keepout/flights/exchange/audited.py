@@ -18,7 +18,6 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from keepout.core.audit.audit import Contact
-from keepout.core.audit.passage import Passage, SampleBounds, Samples, angles, audit_passage
 from keepout.core.audit.tube import lengths
 from keepout.core.errors import ExchangeError
 from keepout.core.geometry.target import Target
@@ -26,6 +25,7 @@ from keepout.core.mission.epoch import format_instant, leap_second_between
 from keepout.core.motion.rotation import vvlh_axes
 from keepout.core.progress import Progress, silent
 from keepout.flights.exchange.ephemeris import Attitude, Ephemeris, Orbit, read_aem, read_oem
+from keepout.flights.exchange.passage import Passage, SampleBounds, Samples, angles, audit_passage
 
 INERTIAL = ("EME2000", "J2000", "GCRF", "ICRF")
 """Frames in which a difference of positions is one in axes that do not turn. J2000 is another name of EME2000."""

@@ -13,9 +13,9 @@ from scipy.spatial import ConvexHull
 
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.approach import ends, unit
-from keepout.core.mission.approach_entries import CorridorEntry, LegEntry, ZoneEntry
-from keepout.core.mission.legs_flown import allowed_speed
+from keepout.core.mission.flight import allowed_speed
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.task_entries import CorridorEntry, LegEntry, ZoneEntry
 
 _ARC = 16
 """Pieces of a half or a part of a circle in a body's outline."""

@@ -15,10 +15,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 
+from keepout.core.cores import kernel
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
-from keepout.core.kernel import kernel
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.pages.approach_drawn import paint_bodies
 from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure, looks

@@ -9,9 +9,9 @@ import numpy as np
 from keepout.core.errors import KeepoutError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.approach import named
-from keepout.core.mission.approach_entries import LegEntry, ZoneEntry
 from keepout.core.mission.first_look import assumed_disturbance, flown_disturbance
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.task_entries import LegEntry, ZoneEntry
 from keepout.core.plug_ins import load
 from keepout.flights.requirements import required
 

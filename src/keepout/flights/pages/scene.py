@@ -21,7 +21,7 @@ from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
 from keepout.core.mission.approach import has_rules
 from keepout.core.mission.bounds import orbit_of, sun_of
 from keepout.core.mission.entries import SunEntry
-from keepout.core.mission.legs_flown import allowed_speed
+from keepout.core.mission.flight import allowed_speed
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.rotation import vvlh_axes

@@ -30,7 +30,6 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 
 from keepout.core.audit.tube import Tube, nearest
 from keepout.core.cores import available_cores
-from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.batches import BATCH
@@ -39,6 +38,7 @@ from keepout.core.flight.loop import FlightLog, trace
 from keepout.core.flight.setup import Faults, FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import RECIPE
+from keepout.core.kept import digest
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.flight import Flight, judged
 from keepout.core.mission.scenario import Scenario, ScenarioLike

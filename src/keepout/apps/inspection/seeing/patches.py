@@ -14,10 +14,9 @@ import numpy as np
 import scipy.sparse.csgraph
 from jaxtyping import Bool, Float, Int
 
+from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
-from keepout.core.geometry.mesh_report import weld, zero_area
-from keepout.core.geometry.target import Target
-from keepout.core.kernel import kernel
+from keepout.core.geometry.target import Target, weld, zero_area
 from keepout.core.progress import Progress, silent
 
 FLAT = 2e-5

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.seeing.visible import SeeingRules
+from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.distance import Distance, ExactDistance, Points, Tree, closest_triangle
 from keepout.core.geometry.octree import SQRT3, refine
-from keepout.core.kernel import kernel
 
 _BEAM_STEPS = 2000
 """Along a beam, at most; where they are used up the height reached so far stands."""

@@ -17,7 +17,7 @@ from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.led.camera import axes_across
 from keepout.apps.led.first_hit import DEEPEST, RayTree
-from keepout.core.kernel import kernel
+from keepout.core.cores import kernel
 from keepout.core.progress import Progress, silent
 
 SQUARES = 4_000_000

@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.led.first_hit import DEEPEST, build_tree
+from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.distance import TriangleSoup
-from keepout.core.kernel import kernel
 
 FARTHEST = 1e5
 """Places may have coordinates up to this, m: beyond it rounding comes near the margins."""

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.sightlines import Sightlines
+from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
-from keepout.core.kernel import kernel
 
 _FINITE = 1e6
 """Metres; farther than any camera of an inspection looks."""

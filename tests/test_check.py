@@ -14,10 +14,10 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.mission.approach import require_approach
 from keepout.core.mission.build import prepare
-from keepout.core.mission.check import check, number_refusal
 from keepout.core.mission.entries import Entry
 from keepout.core.mission.scenario import Scenario, with_entries
 from keepout.core.mission.surroundings import Surroundings
+from keepout.verbs.check import check, number_refusal
 from keepout.verbs.draft import commented, draft
 
 

@@ -20,7 +20,6 @@ from keepout.core.fields.grid import GridField
 from keepout.core.fields.neural import NeuralField
 from keepout.core.fields.own import SphereField
 from keepout.core.flight import FlightSetup, loop
-from keepout.core.flight.on_board import Clock, OnBoard
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag
@@ -32,6 +31,7 @@ from keepout.core.motion.disturbance import NoDisturbance, paper_disturbance
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion
 from keepout.flights.navigation.suites import navigation
+from keepout.flights.on_board import Clock, OnBoard
 
 pytestmark = pytest.mark.long
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from truths.growing_maps import Cubes
 
-from keepout.core.control.barrier_grid import grid_of_nodes
+from keepout.apps.unknown.by_map import grid_of_nodes
 from keepout.core.control.geodesic import geodesic_guidance
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import values
