@@ -133,6 +133,7 @@ def test_in_the_earths_shadow_nothing_counts_and_what_it_cost_is_seen_in_later_l
             assert (found.patches.unit_normals()[frame.units] @ frame.sun >= least).all()
 
 
+@pytest.mark.slow  # hold points of approaches are in core/mission/test_approach
 def test_a_hold_point_is_held_before_any_view_and_a_view_whose_window_is_then_over_is_planned_anew():
     hold = {"position": [4.0, 3.0, 0.0], "seconds": 60.0}
     mission = scenario(inspect={"hold_points": [hold], "coverage": 0.7})
