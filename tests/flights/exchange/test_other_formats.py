@@ -129,7 +129,6 @@ def glb_tree(path):
     return json.loads(content[20 : 20 + length])
 
 
-@pytest.mark.slow  # the command writes one in test_commands
 @pytest.mark.long
 def test_a_scene_holds_mesh_envelope_and_path_in_metres(tmp_path):
     target = Target.load("intelsat30")
