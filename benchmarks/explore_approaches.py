@@ -16,9 +16,9 @@ from explore_counts import bad_cubes, gaps, meeting, over_statements, seen_surfa
 
 from keepout.apps.led.camera import axes_towards
 from keepout.apps.led.first_hit import FirstHit
-from keepout.apps.unknown.by_map import MapField
 from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
+from keepout.apps.unknown.map_field import MapField
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.geometry.builtin import BUILTINS
 from keepout.core.geometry.level_set import surface_points, towards_level

@@ -21,9 +21,10 @@ from truncated_distance import TruncatedDistanceMap
 from keepout.apps.led.camera import Boresight, axes_towards
 from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown import equipment
-from keepout.apps.unknown.by_map import ByMap, MapField
+from keepout.apps.unknown.by_map import ByMap
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take
 from keepout.apps.unknown.explore import explore
+from keepout.apps.unknown.map_field import MapField
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import ControlError
 from keepout.core.flight.loop import begin, fly_segment, joined

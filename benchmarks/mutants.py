@@ -128,7 +128,7 @@ MUTANTS = {
     "core/fields/grid.py": [
         ("last cell left out", "jnp.int32), 0, BLOCK - 1)", "jnp.int32), 0, BLOCK - 2)", "grid_field")
     ],
-    "apps/unknown/by_map.py": [
+    "apps/unknown/map_field.py": [
         ("half a cell of error", "hypot(radius, float", "hypot(radius, 0.5 * float", "map_field:bound")
     ],
     "apps/unknown/rule.py": [

@@ -7,7 +7,7 @@ import pytest
 from map_slope import Transport, control_vectors, prove_slope
 from scipy.optimize import linprog
 
-from keepout.apps.unknown.by_map import SLOPE
+from keepout.apps.unknown.map_field import SLOPE
 from keepout.core.errors import FieldError
 
 NODES = np.array(list(itertools.product(range(4), repeat=3)), float)

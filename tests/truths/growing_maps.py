@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from keepout.apps.unknown.by_map import MapField
+from keepout.apps.unknown.map_field import MapField
 
 SPACING, CAP = 0.1, 1.2
 CELLS = round(CAP / SPACING)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from truths.growing_maps import Cubes
 
-from keepout.apps.unknown.by_map import SLOPE, MapField
+from keepout.apps.unknown.map_field import SLOPE, MapField
 from keepout.core.errors import FieldError
 from keepout.core.fields.field import values, values_and_gradients, values_gradients_hessians
 

@@ -376,7 +376,7 @@ class CameraEntry(Entry):
         pixels: Pixels across that cone.
         least_range: In m; nearer surface is not sharp.
         greatest_range: In m; farther surface does not count.
-        greatest_incidence: Of a patch's normal to the camera, rad.
+        greatest_incidence: Largest angle from a patch's normal to the camera, rad.
         greatest_sample_distance: Of samples along the surface's slant, m a pixel; unset: any.
         period: Time between frames, s; whole control periods.
         turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and its change, rad/s².
@@ -405,7 +405,7 @@ class LightEntry(Entry):
         kind: none: light does not matter; fixed: from `direction`; sun: by epoch, orbit and attitude, not while the
             Earth hides any of it.
         direction: Towards the light, body axes, any length; `fixed` needs it.
-        greatest_incidence: Of a patch's normal to the light, rad.
+        greatest_incidence: Largest angle from a patch's normal to the light, rad.
 
     """
 
