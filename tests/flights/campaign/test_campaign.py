@@ -214,7 +214,7 @@ def test_a_campaign_of_which_nothing_can_be_flown_is_refused(scenario):
         Plan.of(scenario.replace(campaign={"dispersions": {"chaser.mass": {"choice": [-1.0]}}}))
 
 
-@pytest.mark.slow  # rows of runs that differ in phase are held against runs alone
+@pytest.mark.slow  # a campaign is its single flights in core/flight/test_batches
 def test_a_mission_of_another_phase_shares_its_law_and_is_the_one_that_would_be_made(scenario):
     guarded = scenario.replace(guard={"enabled": True})
     workshop = Workshop()
@@ -231,7 +231,7 @@ def assert_same(one, other):
     jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
-@pytest.mark.slow  # a replay is equal to its row in the test below
+@pytest.mark.slow  # `campaign replay` finds a run equal to its row in test_commands
 @pytest.mark.slow  # tests/core/flight/test_batches.py has batches beside single flights
 def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario):
     fast = {"sphere": [0.0, 0.3]}  # the guard's theorem is of speeds up to 0.15 m/s
