@@ -231,7 +231,6 @@ def assert_same(one, other):
     jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
-@pytest.mark.slow  # `campaign replay` finds a run equal to its row in test_commands
 @pytest.mark.slow  # tests/core/flight/test_batches.py has batches beside single flights
 def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario):
     fast = {"sphere": [0.0, 0.3]}  # the guard's theorem is of speeds up to 0.15 m/s
