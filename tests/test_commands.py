@@ -1,5 +1,7 @@
 """Every command, succeeding, as a program calls it: in a process of its own, with strict JSON on standard output.
 
+`make test` compiles what they fly as quickly as it can, `make test-all` as users have it.
+
 One small mission is fitted, certified and flown, and what comes after reads the files that this left. The truths are
 the box's closed forms, and what the files say when read without the code that wrote them.
 """
@@ -119,8 +121,6 @@ def folder(tmp_path_factory):
         yield folder
 
 
-AS_USED = {"XLA_FLAGS": ""}
-"""A flight is compiled as a user has it, all else as quickly as other tests; `make test-all` has all as users do."""
 COARSE = """
 from keepout.flights.pages import drawn
 drawn._CELLS_ALONG //= 2
@@ -139,7 +139,7 @@ def fitted(folder):
 
 @pytest.fixture(scope="module")
 def flown(folder, fitted):
-    return keepout_process(folder, "fly", "mission.toml", "-o", "flight", "--json", program=COARSE, **AS_USED)
+    return keepout_process(folder, "fly", "mission.toml", "-o", "flight", "--json", program=COARSE)
 
 
 @pytest.fixture(scope="module")
@@ -359,9 +359,7 @@ def test_the_ten_lines_of_readme(folder, flown):
     trimesh.Trimesh(box.vertices, box.faces, process=False).export(folder / "satellite.glb")
     [code] = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert code.count("duration=1200.0") == 1
-    told = told_by_process(
-        folder, code.replace("duration=1200.0", f"duration={SECONDS}.0"), program=TEN_LINES, **AS_USED
-    )
+    told = told_by_process(folder, code.replace("duration=1200.0", f"duration={SECONDS}.0"), program=TEN_LINES)
     assert "proved free, certified from the start" in told
     found = np.load("ten.npz")
     exact = box_distance(found["position"]) - RADIUS
@@ -373,7 +371,7 @@ def test_the_ten_lines_of_readme(folder, flown):
 
 def test_replay(folder, flown):
     told = told_by_process(
-        folder, "replay", flown["flight"], "-o", "again.html", "--title", "Once more", program=COARSE, **AS_USED
+        folder, "replay", flown["flight"], "-o", "again.html", "--title", "Once more", program=COARSE
     )
     assert "open again.html" in told
     assert "<title>Once more</title>" in (folder / "again.html").read_text(encoding="utf-8")

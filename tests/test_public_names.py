@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import keepout
-from keepout.core.errors import KeepoutError, ScenarioError
+from keepout.core.errors import KeepoutError
 from keepout.core.guard.field import guard_field
 
 MISSION = """
@@ -75,27 +75,6 @@ def test_a_mesh_a_field_a_law_and_a_verdict_and_what_a_flight_can_do(mission, tm
     assert told["contact_verdict"] == "no"
     assert told["minimum_clearance_m"] <= told["measured_clearance_m"]
     assert told["measured_clearance_m"] == pytest.approx(summary["measured_clearance_m"], abs=2e-3)
-
-
-@pytest.mark.slow  # tests/flights/campaign flies them, test_commands.py reads them
-def test_a_campaign(mission, tmp_path):
-    vary = {"chaser.mass": ("uniform", 18, 22)}
-    flown = keepout.campaign(mission, runs=4, vary=vary, batch=2, keep="none")
-    table = flown.table()
-    assert np.all((table["chaser.mass"].to_numpy() >= 18.0) & (table["chaser.mass"].to_numpy() <= 22.0))
-    assert flown.worst(2)["minimum_clearance"].to_pylist() == sorted(table["minimum_clearance"].to_pylist())[:2]
-    again = flown.replay(3)
-    assert again.scenario.chaser.mass == table["chaser.mass"][3].as_py()
-    assert again.audit.minimum_clearance == table["minimum_clearance"][3].as_py()
-    assert "box" in again.target._repr_html_()
-    assert "campaign" in flown._repr_html_().lower()
-
-    kept = keepout.campaign(mission, runs=4, vary=vary, batch=2, keep="none", out=tmp_path / "kept")
-    assert kept.table().equals(table)
-    assert flown.compare(kept)["paired"] == 4
-    assert keepout.Campaign.open(tmp_path / "kept").summary()["runs"] == 4
-    with pytest.raises(ScenarioError, match=r"vary: chaser\.mass: 20"):
-        keepout.campaign(mission, vary={"chaser.mass": 20.0})
 
 
 @pytest.mark.parametrize(

@@ -283,7 +283,7 @@ def told(samples, time):
     return [(time, one.value) if one.came else None for one in samples]
 
 
-@pytest.mark.slow  # without pulses in the test before
+@pytest.mark.slow  # sensors and pulses are flown in core/mission/test_navigation
 def test_forces_and_on_times_are_those_of_the_loop(navigator, flown):
     estimate, steps = flown
     assert navigator.one_kernel
@@ -310,6 +310,7 @@ def test_forces_and_on_times_are_those_of_the_loop(navigator, flown):
     assert navigator.known.on_time.shape == (6,)
 
 
+@pytest.mark.slow  # by the flight of the test before
 def test_a_sample_that_is_no_number_is_left_out(navigator, flown):
     estimate, steps = flown
     navigator.restart(estimate)
@@ -322,6 +323,7 @@ def test_a_sample_that_is_no_number_is_left_out(navigator, flown):
     assert np.isfinite(navigator.step(6.0, samples=[None, None])).all()
 
 
+@pytest.mark.slow  # by the flight of the test before
 def test_another_time_is_refused_and_a_sample_of_another_time_left_out(navigator, flown):
     estimate, steps = flown
     navigator.restart(estimate)
@@ -342,6 +344,7 @@ def test_another_time_is_refused_and_a_sample_of_another_time_left_out(navigator
     assert navigator.known.not_due == 0
 
 
+@pytest.mark.slow  # by the flight of the test before
 def test_wrong_samples_are_named(navigator, navigated, flown):
     navigator.restart(flown[0])
     with pytest.raises(ControlError, match="1 samples; the suite has 2 sensors"):

@@ -1,5 +1,7 @@
 """The built-in box in closed form: its distance, and points where a ball touches it."""
 
+from pathlib import Path
+
 import numpy as np
 
 HALF = np.array([2.0, 1.5, 1.0])
@@ -21,3 +23,7 @@ def contact_with_box(count: int, radius: float, *, seed: int = 17) -> np.ndarray
     # A normal of the face, edge or corner that the foot lies on.
     normal = np.where(np.abs(foot) == HALF, np.sign(foot) * rng.exponential(size=(count, 3)), 0.0)
     return foot + radius * normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+LEARNED = Path(__file__).with_name("box.keepout")
+"""A rough field of the box, certified for 0.5 m: `keepout fit box`, as tests/test_commands.py fits it."""

@@ -6,7 +6,6 @@ from scipy import ndimage
 from keepout.apps.unknown.map_field import MapField
 
 SPACING, CAP = 0.1, 1.2
-CELLS = round(CAP / SPACING)
 
 
 class Cubes:

@@ -11,7 +11,8 @@ from keepout.flights.campaign.plan import Plan
 def small_plan() -> Plan:
     """Make the plan: 6 chunks of 4 flights."""
     around = {"target": {"source": "box"}, "field": {"source": "grid"}, "guard": {"enabled": False}}
-    plan = Plan.of(Scenario().replace(duration=20.0, campaign={"runs": 24}, **around), batch=2)
+    bare = Scenario().replace(duration=20.0, control={"guidance": "straight"}, **around)
+    plan = Plan.of(bare.replace(campaign={"runs": 24}), batch=2)
     assert (plan.chunks, plan.chunk) == (6, 4)
     return plan
 

@@ -6,6 +6,7 @@ import re
 import shutil
 import struct
 import subprocess
+import tomllib
 import zlib
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from truths import long_fields
+from truths import boxes, long_fields
 from truths.command_line import keepout_command
 
 import keepout
@@ -32,12 +33,16 @@ from keepout.core.proof.bounds import ELEMENTARY, UNIT64
 
 pytestmark = pytest.mark.long
 compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc here")
-ERRORS = {"guard": {"delay": 1, "position_error": 0.03, "velocity_error": 0.002}}
+MISSION = f"""
+target.source = "box"
+field.source = "{boxes.LEARNED.as_posix()}"
+guard = {{delay = 1, position_error = 0.03, velocity_error = 0.002}}
+"""
 
 
 @pytest.fixture(scope="module")
 def mission() -> Mission:
-    return prepare(Scenario().replace(**ERRORS))
+    return prepare(tomllib.loads(MISSION))
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write it by the command, as a user does."""
     base = tmp_path_factory.mktemp("flight_code")
     scenario, out = base / "mission.toml", base / "flight"
-    entries = "".join(f"{name} = {value}\n" for name, value in ERRORS["guard"].items())
-    scenario.write_text(f"[guard]\n{entries}", encoding="utf-8")
+    scenario.write_text(MISSION, encoding="utf-8")
     summary = keepout_command("export", scenario, "--to", "c", "-o", out, "--json").json
     assert set(summary["files"]) == {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     assert summary["tables_bytes"] < 3.5e6

@@ -9,18 +9,21 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import keepout.gym  # noqa: F401
+from keepout.apps.gym.environment import MISSION
 from keepout.core.errors import KeepoutError
 from keepout.core.geometry.target import Target
 
 pytestmark = pytest.mark.long
 AROUND = ("box", (-6.0, -7.0, -6.0), (6.0, 7.0, 6.0))
-AHEAD = ("box", (0.0, 5.0, 0.0), (0.0, 5.0, 0.0))
-"""Before the pocket's opening, the goal behind its floor. One compiled step is of both."""
+AHEAD = ("box", (0.0, 6.4, 0.0), (0.0, 6.4, 0.0))
+"""Before the box, the goal behind it. One compiled step is of both."""
+BOXED = {**MISSION, "target": {"source": "box"}}
+"""The box's guard is that of other tests."""
 
 
 @pytest.fixture(scope="module")
 def guarded():
-    return gymnasium.make("keepout/Approach-v0", starts=AROUND).unwrapped
+    return gymnasium.make("keepout/Approach-v0", mission=BOXED, starts=AROUND).unwrapped
 
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space:UserWarning")
@@ -36,9 +39,11 @@ def test_it_is_an_environment_and_a_seed_is_an_episode_to_the_bit(guarded):
 
 
 @pytest.mark.slow  # batches beside single flights are in core/flight/test_batches
-def test_many_are_one_by_one_through_the_ends_of_episodes(guarded):
+def test_many_are_one_by_one_through_the_ends_of_episodes():
     """Towards the goal: some arrive, some are held before the pocket until the time is over, and all begin anew."""
-    envs = gymnasium.make_vec("keepout/Approach-v0", num_envs=3, vectorization_mode="vector_entry_point", starts=AROUND)
+    several = {"num_envs": 3, "vectorization_mode": "vector_entry_point"}
+    envs = gymnasium.make_vec("keepout/Approach-v0", **several, starts=AROUND)
+    guarded = gymnasium.make("keepout/Approach-v0", starts=AROUND).unwrapped
     towards = [-0.5 * np.eye(3), -6.0 * np.eye(3), np.zeros((1, 3))]
     seen = envs.reset(seed=40)[0]
     rows = [(seen, np.zeros(3), np.zeros(3, bool), np.zeros(3, bool), {})]
@@ -64,15 +69,15 @@ def test_many_are_one_by_one_through_the_ends_of_episodes(guarded):
 
 
 def test_the_shield_prevents_a_contact_that_the_bare_action_causes():
-    pocket, goal = Target.load("pocket").distance, np.array([0.0, -4.0, 0.0])
+    box, goal = Target.load("box").distance, np.array([0.0, -4.0, 0.0])
     ended = {}
     for guard in (False, True):
-        env = gymnasium.make("keepout/Approach-v0", guard=guard, starts=AHEAD).unwrapped
+        env = gymnasium.make("keepout/Approach-v0", mission=BOXED, guard=guard, starts=AHEAD).unwrapped
         env.reset(seed=0)
         nearest, counted = np.inf, 0
         while True:
             seen, _, terminated, truncated, info = env.step(np.array([0.0, -1.0, 0.0]))
-            away = pocket.distance(seen[None, :3].astype(float) + goal)[0] - 0.5
+            away = box.distance(seen[None, :3].astype(float) + goal)[0] - 0.5
             assert info["clearance_m"] <= away + 1e-6
             assert info["cost"] == pytest.approx(np.clip(1.0 - info["clearance_m"] / 0.1, 0.0, 1.0))
             nearest, counted = min(nearest, away), counted + info["intervened"]
@@ -94,7 +99,7 @@ def test_what_cannot_be_is_refused(guarded):
     }
     for said, options in cases.items():
         with pytest.raises(KeepoutError, match=said):
-            gymnasium.make_vec("keepout/Approach-v0", **options)
+            gymnasium.make_vec("keepout/Approach-v0", **{"mission": BOXED, **options})
     guarded.reset(seed=0)
     with pytest.raises(KeepoutError, match=r"action: shape \(1, 2\)"):
         guarded.step(np.zeros(2))

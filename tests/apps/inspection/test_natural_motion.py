@@ -64,18 +64,15 @@ def test_round_a_ball_the_smallest_ellipse_is_as_high_as_ball_and_stand_off():
     assert means == pytest.approx(sorted(means), abs=0.1)
 
 
-@pytest.mark.long
+@pytest.mark.slow  # what one period of coasting changes is held by the exponential below
 @pytest.mark.parametrize(
     "entries",
     [
         {"orbit": {"semi_major_axis": 8.0e6, "eccentricity": 0.12, "true_anomaly": 1.0}, "duration": 7122.0},
-        pytest.param(
-            {
-                "attitude": {"kind": "tumbling", "angular_velocity": [0.001, 0.002, 0.0015]},
-                "target": {"centre_of_mass": [0.5, -0.3, 0.2]},
-            },
-            marks=pytest.mark.slow,
-        ),
+        {
+            "attitude": {"kind": "tumbling", "angular_velocity": [0.001, 0.002, 0.0015]},
+            "target": {"centre_of_mass": [0.5, -0.3, 0.2]},
+        },
     ],
 )
 @pytest.mark.usefixtures("few")
@@ -159,7 +156,7 @@ def onto(box, position, velocity=(0.0, 0.0, 0.0), **changes):
     return transfer(case, box, ellipse), ellipse
 
 
-@pytest.mark.long
+@pytest.mark.slow  # the law that coasts is flown above
 @pytest.mark.usefixtures("few")
 def test_where_gravity_is_weak_a_coast_is_a_straight_way_and_begins_and_ends_with_its_speed(box):
     """At 42,164 km and in 300 s: the way to the nearest place of the ellipse, over the longest coast, twice."""

@@ -71,16 +71,6 @@ def test_a_plan_sees_the_whole_box(box, whole):
     assert whole.duration >= whole.way_length / box.scenario.chaser.speed_limit
 
 
-@pytest.mark.slow  # test_cover.py and test_tour.py prove covers and tours
-def test_less_is_asked_for_with_fewer_views_and_the_nearest_view_tour_proves_nothing(box, whole):
-    for tour, share in (("plan", 0.7), ("nearest", 0.95)):
-        result = planned(replace(box, scenario=box.scenario.replace(inspect={"tour": tour})), share=share)
-        require_true(box, result)
-        assert box.patches.coverage(result.covered) >= share
-        assert (result.fewest_views == 0) == (tour == "nearest")
-        assert tour == "nearest" or len(result.views) < len(whole.views)
-
-
 @pytest.mark.slow
 def test_the_plan_is_the_same_however_fast_the_clock_runs(box, whole, monkeypatch):
     begun, ticks = time.perf_counter(), itertools.count()
@@ -118,22 +108,6 @@ def test_views_to_which_no_way_leads_are_left_out():
     result = planned(hollow, wanted=patches.counted, share=1.0)
     assert result.views
     assert all((np.abs(view.position) > HALF).any() for view in result.views)
-
-
-@pytest.mark.slow  # tours in a moving light are in test_light_tour
-def test_in_a_light_that_goes_round_each_view_is_flown_in_its_window():
-    light = Round(Scenario(), (1, 0, 0), (0, 1, 0), 4000.0, lambda suns: (suns[:, 0] > 0.0) & (suns[:, 1] < 0.0))
-    problem = replace(asked(), light=light)
-    result = planned(problem, share=0.9)
-    require_true(problem, result)
-    assert result.covered.any()
-    last = 0.0
-    for view in result.views:
-        begin, end = view.window
-        assert last - 1e-9 <= end
-        last = max(last, begin)
-        for now in np.linspace(begin, end, 4):
-            assert lit_units(problem.sight, problem.rules, light.suns([now])[0])[view.units].all()
 
 
 @pytest.mark.slow  # tours in a moving light are in test_light_tour

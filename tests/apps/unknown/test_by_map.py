@@ -284,21 +284,6 @@ def with_errors(position, velocity, **more):
     )
 
 
-@pytest.mark.slow  # the flight above is by the same law and guard
-def test_the_guard_passes_on_what_the_law_does_at_its_own_edge():
-    scenario = with_errors(0.1, 0.004, safety={"margin": 0.1})
-    field = opened(lambda p: p[..., 1] >= 1.0)
-    leading = ByMap.of(scenario, BALL, field)
-    assert leading.offset > leading.guard.least_value
-    goal = np.array([0.0, 1.0 + leading.offset + 0.02, 0.0])
-    setup = leading.setup(leading.law(goal, np.array(START)))
-    state = begin(setup, leading.initial, jax.random.key(0))
-    for _ in range(15):
-        state, log = flown(setup, state)
-        assert not np.asarray(mode(log.guard_status)).any()
-    assert np.linalg.norm(np.asarray(state.motion.position) - goal) < 0.1
-
-
 def started(height, speed, guard):
     initial = Surroundings(SCENARIO).motion.initial_state(np.array([0, height, 0]), np.array([0, speed, 0]))
     require_start(SCENARIO, BALL, initial, guard)

@@ -21,7 +21,6 @@ from keepout.core.errors import ControlError
 from keepout.core.fields.own import BoxUnionField
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.disturbance import paper_disturbance, steady
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion
@@ -46,41 +45,6 @@ def grid():
 @pytest.fixture(scope="module")
 def default(grid):
     return profiles.default(PANELS, CASE, GOAL, start=START, guidance=Geodesic(grid=grid))
-
-
-def fly(controller, position, steps, motion=MOTION, spin=None):
-    def advance(carry, _):
-        state, memory = carry
-        memory, command = controller.step(memory, state)
-        force = Thrusters(controller.force_limit).apply(command.force)
-        row = (state.position, state.velocity, command, force)
-        return (motion.step(state, force, PUSH, 1.0, 20.0), memory), row
-
-    state = motion.initial_state(position, jnp.zeros(3))
-    state = state if spin is None else dataclasses.replace(state, angular_velocity=spin)
-    return jax.lax.scan(advance, (state, controller.initial_state(state)), length=steps)[1]
-
-
-flights = eqx.filter_jit(eqx.filter_vmap(fly, in_axes=(None, 0, None, None, eqx.if_array(0))))
-
-
-def starts(seed, least, half):
-    """24 places round the panels."""
-    places = np.random.default_rng(seed).uniform(-1.0, 1.0, (400, 3)) * half
-    return jnp.asarray(places[np.asarray(PANELS.value(jnp.asarray(places))) > least][:24])
-
-
-@pytest.mark.slow  # the commands fly it in test_commands
-@pytest.mark.long
-def test_default_law_reaches_the_goal_without_contact_and_without_saturation(default):
-    position, velocity, command, _ = flights(default, starts(4, 1.3, [6, 10, 5]), 700, MOTION, None)
-    assert np.linalg.norm(position[:, -1] - GOAL, axis=-1).max() < 0.1
-    # Nothing comes nearer than radius and margin; the law's own offset is on top of that.
-    assert float(PANELS.value(position).min()) > 0.6
-    assert np.mean(np.any(np.abs(command.force) >= 0.1 * (1 - 1e-9), axis=-1)) < 0.05
-    assert np.linalg.norm(velocity, axis=-1).max() < 0.102
-    assert np.isin(command.status, [ControlStatus.NOMINAL, ControlStatus.SATURATED]).all()
-    np.testing.assert_allclose(command.barrier, PANELS.value(position) - 0.65, atol=1e-9)
 
 
 def test_paper_law_says_what_it_violates():

@@ -101,26 +101,6 @@ def test_shared_or_not_a_flight_is_the_same(campaign):
     np.testing.assert_allclose(flown(setup, states, alike=()), whole, rtol=0.0, atol=1e-11)
 
 
-@pytest.mark.slow  # rows of campaigns are held against runs alone
-@pytest.mark.long
-def test_what_varies_differs_between_flights(campaign):
-    """Each with its own push and its own turn of the target."""
-    setup, states, *_ = campaign
-    pushes = jnp.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.0, 0.05]])
-    rates = jnp.array([[0.002, -0.003, 0.001], [0.0, 0.004, 0.0], [0.001, 0.0, -0.002]])
-
-    def varied(setup):
-        return setup.disturbance.constant, setup.motion.attitude_motion.angular_velocity
-
-    states = eqx.tree_at(lambda s: s.angular_velocity, jax.tree.map(lambda x: x[:3], states), rates)
-    assert alike_among(states) == ("time", "attitude")
-    position = flown(eqx.tree_at(varied, setup, (pushes, rates)), states, vary=varied)
-    for k in range(3):
-        own = eqx.tree_at(varied, setup, (pushes[k], rates[k]))
-        log = fly(own, jax.tree.map(lambda x, k=k: x[k], states), STEPS, flight_key(5, k))
-        np.testing.assert_allclose(position[k], log.position, atol=1e-11)
-
-
 def test_keys_of_flights_differ():
     keys = jax.vmap(lambda place: flight_key(7, place))(jnp.arange(100_000))
     assert len(np.unique(jax.random.key_data(keys), axis=0)) == 100_000

@@ -179,7 +179,7 @@ def test_bad_arguments_are_named(sheet, arguments, word):
 # Imperfect meshes -----------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module", params=MESSY)
+@pytest.fixture(scope="module", params=["messy_satellite", pytest.param("messy_station", marks=pytest.mark.slow)])
 def messy(request, tmp_path_factory):
     """A messy mesh with its target, without stray parts."""
     mesh = MESSY[request.param](tmp_path_factory.mktemp("messy"))

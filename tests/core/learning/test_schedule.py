@@ -17,7 +17,6 @@ from keepout.core.fields.grid_build import build_grid
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.target import Target
-from keepout.core.learning import schedule
 from keepout.core.learning.losses import PROFILES, TrainingProfile
 from keepout.core.learning.schedule import (
     BLOCK,
@@ -32,12 +31,9 @@ from keepout.core.learning.schedule import (
     phase_of,
     shortened,
 )
-from keepout.core.learning.training import Learned, fit, layers_of
+from keepout.core.learning.training import Learned, layers_of
 
 PROFILE = TrainingProfile(steps=12 * BLOCK, tuning_steps=8 * BLOCK, polish_steps=4 * ROUND)
-FEW = TrainingProfile(
-    width=8, depth=2, samples=2000, batch=200, steps=BLOCK, tuning_steps=BLOCK, polish_steps=2 * ROUND
-)
 
 
 def test_each_phase_begins_at_its_own_rate_and_ends_at_a_hundredth_of_it():
@@ -165,17 +161,3 @@ def test_a_first_field_is_the_same_function_in_the_coordinates_of_another_mesh()
     grid = FieldModel(build_grid(box, spacing=0.5).field, "box", box.sha256, 0.03, {})
     with pytest.raises(FieldError, match="no network"):
         layers_of(grid, domain, numbers)
-
-
-@pytest.mark.slow  # by the bound, and with another field, in test_commands
-def test_a_fit_ends_by_bound_or_time_and_begins_with_another_field(box, monkeypatch):
-    generous = fit(box, profile=FEW, until_bound=1e3)
-    assert generous.training["ended"] == "bound"
-    assert generous.training["curve"]["steps"] == [BLOCK, 2 * BLOCK, 2 * BLOCK + ROUND, 2 * BLOCK + 2 * ROUND]
-    monkeypatch.setattr(schedule, "SECOND", 0.5)
-    second = fit(box, profile=FEW, first=generous, seed=1)
-    numbers = second.training["numbers"]
-    assert (numbers["steps"], numbers["tuning_steps"]) == (0, BLOCK)
-    assert second.training["curve"]["value_term"][0] < generous.training["curve"]["value_term"][0]
-    with pytest.raises(FieldError, match=r"at_most: 0\.001 s; to prepare took"):
-        fit(box, profile=FEW, at_most=1e-3)

@@ -150,20 +150,6 @@ def test_a_grown_ellipsoid_against_a_grown_polyhedron():
     assert grown_ellipsoid_volume(ball, 0.5) == pytest.approx(ball_volume(2.5), rel=1e-12)
 
 
-@pytest.mark.slow  # measured as a command in test_commands
-def test_a_ball_measured_against_itself_and_against_a_larger_one(solid):
-    levels = [(0.0, 0.03), (0.0, 0.4), (0.5, 0.5)]
-    same, larger, grown = measure_volumes(sphere(1.0), solid, levels, steepest=1.0, leaf=0.05, seed=1)
-    for found, radius in ((same, 1.03), (larger, 1.4), (grown, 1.5)):
-        assert found.learned == pytest.approx(ball_volume(radius), abs=4.0 * found.standard_error)
-    assert same.contact == larger.contact == pytest.approx(ball_volume(1.03), rel=0.01)
-    assert grown.contact == pytest.approx(ball_volume(1.5), rel=0.005)
-    assert same.iou > 0.98
-    assert larger.iou == pytest.approx((1.03 / 1.4) ** 3, rel=0.02)
-    assert same.hull <= ball_volume(1.0) <= same.ellipsoid * (1.0 + 1e-9)
-    assert grown.ellipsoid == pytest.approx(ball_volume(1.5), rel=1e-3)
-
-
 def test_a_thin_sheet_is_not_lost_between_the_cells():
     sheet = np.array([(0, 0, 0), (2.0, 0, 0), (2.0, 2.0, 0), (0, 2.0, 0)], dtype=float)
     # A sheet has no hull; a second one across it gives it some height.

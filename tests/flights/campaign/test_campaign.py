@@ -8,19 +8,16 @@ import subprocess
 import sys
 import time
 
-import jax
 import numpy as np
 import pytest
 
 from keepout.core.errors import FlightError, ScenarioError
 from keepout.core.flight.record import FlightRecord
-from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.target import room_to_start
 from keepout.flights.campaign.campaign import plan_campaign
-from keepout.flights.campaign.dataset import Dataset, differences
-from keepout.flights.campaign.flying import certified, fly_chunk, initial_states, replay
-from keepout.flights.campaign.plan import Plan, Workshop
+from keepout.flights.campaign.dataset import Dataset
+from keepout.flights.campaign.flying import fly_chunk
+from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.run import fly_campaign, keep_flights, keep_of
 from keepout.flights.campaign.table import of_bytes, summary
 
@@ -109,27 +106,6 @@ def test_a_campaign_in_memory_has_the_rows_of_one_in_a_folder(scenario, flown):
     assert made.summary()["flown"] == len(rows) == len(made.audits) < 22
 
 
-@pytest.mark.slow  # the command says so of a run in test_commands
-def test_a_replay_is_equal_to_its_row(plan, flown):
-    dataset, _ = flown
-    number = next(row["run"] for row in dataset.table().to_pylist() if row["run"] > 8 and row["status"] == "flown")
-    [again] = replay(plan, [number])
-    row = dataset.table().to_pylist()[number]
-    assert differences(row, again.row) == []
-    assert again.apart < 1e-9
-    position = again.flight.record.position
-    np.testing.assert_array_equal(position[0], [row[f"start_{axis}"] for axis in "xyz"])
-    assert np.linalg.norm(position[-1] - GOAL) == pytest.approx(row["final_error"], abs=1e-9)
-    # The phase that was drawn is what is flown.
-    t, phase = again.flight.record.time, row["disturbance.phase"]
-    expected = np.stack([np.sin(0.02 * t + phase), np.cos(0.02 * t + phase), np.sin(0.01 * t + phase)], axis=1)
-    np.testing.assert_allclose(again.flight.record.disturbance, 0.01 * expected, atol=1e-15)
-    [differing] = differences(row, dict(again.row) | {"delta_v": 1.0})
-    assert differing == ("delta_v", row["delta_v"], 1.0)
-    with pytest.raises(ScenarioError, match="run 22: the campaign has the runs 0 to 21"):
-        replay(plan, [22])
-
-
 def test_the_worst_flights_are_kept_and_no_others(plan, flown):
     dataset, _ = flown
     kept = keep_flights(plan, dataset, keep_of("worst:3"))
@@ -212,43 +188,6 @@ def test_starts_in_the_target_are_refused_where_the_design_is_over_all_runs(scen
 def test_a_campaign_of_which_nothing_can_be_flown_is_refused(scenario):
     with pytest.raises(ScenarioError, match=r"none of the first 16 runs can be flown; .*chaser\.mass: -1"):
         Plan.of(scenario.replace(campaign={"dispersions": {"chaser.mass": {"choice": [-1.0]}}}))
-
-
-@pytest.mark.slow  # a campaign is its single flights in core/flight/test_batches
-def test_a_mission_of_another_phase_shares_its_law_and_is_the_one_that_would_be_made(scenario):
-    guarded = scenario.replace(guard={"enabled": True})
-    workshop = Workshop()
-    made = [workshop.mission(guarded.replace(disturbance={"phase": phase})) for phase in (1.0, 2.0)]
-    assert made[0].setup.controller is made[1].setup.controller
-    truth = prepare(guarded.replace(disturbance={"phase": 1.0}))
-    assert_same(made[0].setup, truth.setup)
-    assert (made[0].scenario, made[0].start_certified) == (truth.scenario, truth.start_certified)
-
-
-def assert_same(one, other):
-    """Compare two trees of arrays to the last bit."""
-    assert jax.tree.structure(one) == jax.tree.structure(other)
-    jax.tree.map(np.testing.assert_array_equal, one, other)
-
-
-@pytest.mark.slow  # tests/core/flight/test_batches.py has batches beside single flights
-def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario):
-    fast = {"sphere": [0.0, 0.3]}  # the guard's theorem is of speeds up to 0.15 m/s
-    campaign = {"runs": 300, "dispersions": {"start.position": {"sphere": [1.0, 9.0]}, "start.velocity": fast}}
-    plan = Plan.of(scenario.replace(guard={"enabled": True}, campaign=campaign))
-    runs = plan.draw(0, 300)
-    assert any(run.drawn_again for run in runs)
-    sure = certified(runs)
-    for run in runs[::42]:
-        [alone] = plan.draw(run.number, run.number + 1)
-        assert (alone.number, alone.values, alone.drawn_again) == (run.number, run.values, run.drawn_again)
-        np.testing.assert_array_equal(alone.position, run.position)
-        mission = run.mission
-        truth = mission.setup.motion.initial_state(run.position, run.velocity)
-        assert_same(jax.tree.map(lambda array: array[0], initial_states([run])), truth)
-        assert sure[run.number] == bool(mission.guard.certified_start(truth))
-        assert mission.target.distance.distance(run.position[None])[0] > room_to_start(mission.scenario)
-    assert 0 < sum(sure.values()) < 300
 
 
 PROGRAM = """

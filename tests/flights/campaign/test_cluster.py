@@ -76,73 +76,6 @@ def test_a_killed_worker_loses_only_its_chunks_and_no_bit_differs(tmp_path):
     assert_flown_as_here(tmp_path / "out")
 
 
-INTERRUPTED = """
-import signal, sys, time
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job is started deaf to it
-from pathlib import Path
-from keepout.flights.campaign.dataset import Dataset
-from keepout.flights.campaign.run import fly_campaign
-from keepout.flights.campaign.run import flyer_on
-from truths.small_campaigns import small_plan
-
-if __name__ == "__main__":
-    class Slow(Dataset):
-        def write(self, result):
-            super().write(result)
-            print("written", result.number, flush=True)
-            time.sleep(10.0)  # the interrupt comes in the first of these
-
-    fly_campaign(small_plan(), Slow.begin(Path(sys.argv[1]), small_plan()), flyer=flyer_on("local:1"))
-"""
-
-
-def no_process_left(group):
-    """Whether all processes of a group end within a minute."""
-    for _ in range(600):
-        try:
-            os.killpg(group, 0)
-        except ProcessLookupError:
-            return True
-        time.sleep(0.1)
-    return False
-
-
-@pytest.mark.slow  # test_campaign.py has a campaign that was killed and goes on
-def test_an_interrupt_leaves_what_is_finished_and_no_process_and_goes_on_when_started_again(tmp_path):
-    script, out = tmp_path / "fly.py", tmp_path / "out"
-    script.write_text(INTERRUPTED)
-    paths = os.pathsep.join(path for path in sys.path if path)
-    with subprocess.Popen(
-        [sys.executable, script, out],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        env=os.environ | {"PYTHONPATH": paths},
-        start_new_session=True,
-    ) as first:
-        assert first.stdout is not None
-        for line in first.stdout:
-            if line.startswith("written"):
-                break
-        os.killpg(first.pid, signal.SIGINT)  # as a terminal does: every process hears it
-        said, _ = first.communicate(timeout=120)
-    assert first.returncode != 0
-    assert "KeyboardInterrupt" in said
-    assert no_process_left(first.pid)
-    missing = Dataset.open(out).missing()
-    assert 1 <= len(missing) < 6
-    again = []
-
-    def flyer(plan, numbers, told):
-        for number in numbers:
-            again.append(number)
-            yield flown_here(number)
-
-    fly_campaign(small_plan(), Dataset.begin(out, small_plan()), flyer=flyer)
-    assert again == missing
-    assert_flown_as_here(out)
-
-
 def test_a_worker_keeps_to_its_threads_and_cores():
     said = """
 import os, numpy, numba, pyarrow, jax
@@ -271,15 +204,3 @@ def test_a_scheduler_that_does_not_answer_is_named_and_nothing_to_fly_asks_nobod
         flown(Cluster("tcp://127.0.0.1:1", connect_seconds=1.0))
     assert "\n" not in str(raised.value)
     assert flown(flyer_on("tcp://127.0.0.1:1"), []) == []
-
-
-@pytest.mark.slow  # a torn or foreign part is flown again in test_campaign
-def test_a_chunk_flown_twice_is_written_as_if_once(tmp_path):
-    def twice(plan, numbers, told):
-        for number in numbers:
-            yield flown_here(number)
-            yield flown_here(number)
-
-    standing = fly_campaign(small_plan(), Dataset.begin(tmp_path / "out", small_plan()), flyer=twice)
-    assert standing.done == 24
-    assert_flown_as_here(tmp_path / "out")

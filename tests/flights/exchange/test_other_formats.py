@@ -130,7 +130,7 @@ def glb_tree(path):
 
 
 @pytest.mark.long
-def test_a_scene_holds_mesh_envelope_and_path_in_metres(tmp_path):
+def test_a_scene_holds_mesh_envelope_and_path_in_metres(tmp_path, coarse_surfaces):
     target = Target.load("intelsat30")
     _, record = toy_flight(
         {**GEOSTATIONARY, "target": {"source": "intelsat30"}}, start=(0.0, 10.0, 6.0), goal=(3.0, 8.0, 6.0), steps=20

@@ -284,33 +284,6 @@ def test_a_sensor_that_lies_for_ever_costs_the_smoothing_and_no_more(lie):
     assert np.all(np.isfinite(beliefs.covariance))
 
 
-@pytest.mark.slow  # the tests above compare covariances with independent filters
-def test_the_covariance_stays_positive_definite_over_twenty_thousand_steps():
-    filtering = build([Place(5e-4), Pace(8e-7), Sight(1.0)])
-    memory = started(filtering)
-
-    def step(belief, key):
-        keys = jax.random.split(key, 2)
-        came = jax.random.uniform(keys[0], (3,)) < jnp.array([0.5, 0.7, 0.1])
-        values = (jnp.asarray(START[:3]), jnp.asarray(START[3:]), filtering.sensors[2].ideal(memory.settled.motion))
-        samples = tuple(Sample(v, c) for v, c in zip(values, came))
-        belief, _ = filtering.updated(filtering.predicted(belief, jnp.zeros(3)), samples)
-        # held in place, so that the flight can be as long as it likes
-        still = eqx.tree_at(lambda m: (m.position, m.velocity), belief.motion, values[:2])
-        return eqx.tree_at(lambda b: b.motion, belief, still), None
-
-    def stretch(carry, key):
-        belief, _ = jax.lax.scan(step, carry, jax.random.split(key, 1000))
-        P = belief.covariance
-        return belief, (jnp.linalg.eigvalsh(P / jnp.sqrt(jnp.outer(jnp.diag(P), jnp.diag(P)))), jnp.abs(P - P.T).max())
-
-    keys = jax.random.split(jax.random.key(1), 20)
-    _, (eigenvalues, skew) = jax.jit(lambda b, k: jax.lax.scan(stretch, b, k))(memory.settled, keys)
-    assert np.all(np.isfinite(eigenvalues))
-    assert np.asarray(eigenvalues).min() > 1e-9  # of the correlations
-    assert np.asarray(skew).max() < 1e-15
-
-
 # What it asks and what it refuses -------------------------------------------------------------------------------------
 
 

@@ -13,15 +13,13 @@ from truths.command_line import keepout_command
 from truths.passing import SPEED, START, STEPS, box_scenario, pass_record
 from truths.replay_page import ReplayPage
 
-from keepout.core.fields.model import FieldModel
-from keepout.core.fields.zones import ZonedField
-from keepout.core.mission.approach import regions, standing_zone
+from keepout.core.mission.approach import regions
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.flights.pages.approach_drawn import paint_bodies, told
 from keepout.flights.pages.flight_page import draw_error, draw_motion
 from keepout.flights.pages.replay_page import write_replay
-from keepout.flights.pages.replayed import of_flights, of_records
+from keepout.flights.pages.replayed import of_records
 from keepout.flights.pages.scene import marks, to_inertial
 
 HEIGHT, CHANGED = 3.0, 80
@@ -169,19 +167,6 @@ def test_zones_stand_and_go_in_a_browser(replay):
         assert list(standing(10.0)) == ["corridor 0"]
         page.keyboard.press("z")
         assert list(standing(10.0)) == ["ball", "sun"]
-
-
-@pytest.mark.slow  # a surface lies on its level in test_scene
-@pytest.mark.long
-def test_the_guards_surface_is_cut_from_its_field_without_zones(folder, scenario, record):
-    model = FieldModel.load(folder / "box.keepout")
-    zone = standing_zone(Surroundings(scenario), scenario.zone[0], 0.0)
-    guard = SimpleNamespace(field=ZonedField(model.field, (zone,)), threshold=0.6, lipschitz=1.0)
-    mission = SimpleNamespace(model=model, guard=guard)
-    target = SimpleNamespace(sha256="0")
-    flight = SimpleNamespace(record=record, scenario=scenario, target=target, audit=None, mission=mission)
-    [replayed] = of_flights({"legs": flight})
-    assert replayed.levels[1].field is model.field
 
 
 @pytest.mark.long
