@@ -76,14 +76,17 @@ style: install
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 
+# Room for what is new, so that Node looks less often for what is not used any more: a seventh of the time.
+PYRIGHT = NODE_OPTIONS=--max-semi-space-size=64 $(BIN)/pyright
+
 types: install
-	$(BIN)/pyright
+	$(PYRIGHT)
 
 # Of types only the files of the package that differ from the last commit: all of it is two minutes of a core.
 CHANGED = $(shell git diff --name-only --diff-filter=d HEAD -- 'src/*.py' 2>/dev/null)
 
 check: style
-	$(if $(CHANGED),$(BIN)/pyright $(CHANGED))
+	$(if $(CHANGED),$(PYRIGHT) $(CHANGED))
 	@$(MAKE) --no-print-directory quick-tests
 
 # The fields of guards are kept in one new folder for all: some take a worker 20 s.

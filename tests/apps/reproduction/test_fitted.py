@@ -62,6 +62,7 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_field(target, fitted_once, t
     assert resumed.training["curve"]["steps"] == [250, 500]
 
 
+@pytest.mark.slow  # kept work is in test_work
 def test_a_kept_field_is_not_fitted_again_and_a_named_folder_comes_first(target, fitted_once, tmp_path, monkeypatch):
     folder, first = fitted_once
     monkeypatch.setattr(fitted, "fit", lambda *_, **__: pytest.fail("fitted again"))

@@ -75,6 +75,7 @@ def shown_at(page, time):
     return page.evaluate(f"({{...keepoutReplay.state().growth, skins: {skins}}})")
 
 
+@pytest.mark.slow  # the replay of an exploration is written in test_commands
 def test_the_map_and_the_views_switch_as_time_goes_on(opened, exploration):
     times = [stage.time for stage in exploration.stages]
     for time in (0.0, 10.0, 59.0, 61.0, 141.0, 160.0):

@@ -214,7 +214,7 @@ class LosesItself(keepout.Law):
 
 
 @pytest.mark.long
-def test_a_flight_that_ends_in_no_numbers_is_told_and_kept(mission, tmp_path):
+def test_a_flight_that_ends_in_no_numbers_is_told_and_kept(mission, tmp_path, coarse_surfaces):
     flight = mission.with_law(LosesItself()).fly()
     summary = json.loads(json.dumps(flight.summary(), allow_nan=False))
     told = summary["contact_verdict"], summary["minimum_clearance_m"], summary["final_error_m"]

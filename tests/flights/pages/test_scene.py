@@ -159,7 +159,7 @@ def test_a_surface_lies_on_its_level_with_its_normals_outward(box, folder):
 
 
 @pytest.mark.long
-def test_the_page_says_what_it_leaves_out(folder, tmp_path, monkeypatch):
+def test_the_page_says_what_it_leaves_out(folder, tmp_path, monkeypatch, coarse_surfaces):
     records = {"whole": passed(folder, "whole")}
     write_replay(tmp_path / "whole.html", of_records(records), title="whole")
     page = ReplayPage.read(tmp_path / "whole.html")

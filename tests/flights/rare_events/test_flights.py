@@ -44,7 +44,7 @@ def test_bounded_noise_stays_in_its_ball():
     assert stats.kstest((length / 0.02) ** 3, stats.uniform.cdf).pvalue > 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.slow  # faults at their middle are none: core/guard/test_faults
 def test_a_tape_without_errors_is_the_flight_without_faults():
     # In the middle of each normal no command is lost and the thrusters are right.
     taped = TapedFlights(prepare(NOISY))
