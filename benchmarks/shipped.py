@@ -20,14 +20,14 @@ SLOPE_PROVED = ("intelsat30",)
 
 
 def make(name: str, *, seed: int = 0) -> FieldModel:
-    """Fit and certify the field of a built-in target with the default profile, and put it into the package."""
+    """Fit and certify the field of a built-in target with the profile fine, and put it into the package."""
 
     def progress(fraction: float, message: str) -> None:
         print(f"\r{name} {100 * fraction:3.0f} % {message:<90.90}", end="", file=sys.stderr, flush=True)
 
     target = Target.load(name)
     path = shipped_folder() / f"{name}.keepout"
-    model = fit(target, seed=seed, checkpoint=path.with_suffix(".checkpoint"), progress=progress)
+    model = fit(target, profile="fine", seed=seed, checkpoint=path.with_suffix(".checkpoint"), progress=progress)
     # Saved after every step, so that a run that is stopped loses the certificate it was at, not the fit.
     model.save(path)
     for radius in CHASER_RADII:

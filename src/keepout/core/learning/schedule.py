@@ -56,17 +56,21 @@ def settling(profile: TrainingProfile, block: int) -> bool:
 
 
 def learning_rates(profile: TrainingProfile, block: int) -> Float32[np.ndarray, "steps"]:
-    """Give the learning rate of each step of a block, to the profile's: a schedule for each phase, from its begin."""
+    """Give the learning rate of each step of a block, to the profile's: a schedule for each phase, from its begin.
+
+    The first phase ends at the rate at which the second begins: what it would gain by coming to rest is lost again.
+    """
     lengths, phase = block_lengths(profile), phase_of(profile, block)
     first, last = sum(phase_blocks(profile)[:phase]), sum(phase_blocks(profile)[: phase + 1])
     steps, done = sum(lengths[first:last]), sum(lengths[first:block])
     start = (1.0, TUNING_RATE, POLISH_RATE)[phase]
+    end = TUNING_RATE if phase == 0 and profile.tuning_steps else 0.01 * start
     if profile.halving:
         schedule = optax.exponential_decay(start, profile.halving, 0.5, staircase=True)
     elif phase == 2:
         schedule = optax.cosine_decay_schedule(start, steps, 0.01)
     else:
-        schedule = optax.warmup_cosine_decay_schedule(0.1 * start, start, min(100, steps // 10), steps, 0.01 * start)
+        schedule = optax.warmup_cosine_decay_schedule(0.1 * start, start, min(100, steps // 10), steps, end)
     return np.asarray(jax.vmap(schedule)(jnp.arange(done, done + lengths[block])), np.float32)
 
 

@@ -88,7 +88,8 @@ def fit(
 
     Args:
         target: what to learn.
-        profile: "default", "quick" (rough, for trying out), "paper" or "paper_printed"; or a `TrainingProfile`.
+        profile: "default", "fine" (twice the time, nearer), "quick" (rough), "paper" or "paper_printed"; or a
+            `TrainingProfile`.
         chaser_radius: metres; where a chaser of this radius touches, over-statement is hunted as it is on the surface.
         seed: the same seed, target and profile on the same machine give the same field.
         checkpoint: a file kept up to date while training and deleted at the end; if it exists, the fit goes on from it.
