@@ -120,7 +120,7 @@ def fit(
     certify: Annotated[bool, typer.Option("--certify", help="Then prove its error bound, as `certify` does.")] = False,
     first: Annotated[
         Path | None,
-        typer.Option("--from", help="Begin with the field of a mesh that differs little: a third of the time."),
+        typer.Option("--from", help="Begin with the field of a mesh that differs little: less than half the time."),
     ] = None,
     until_bound: Annotated[
         float | None,

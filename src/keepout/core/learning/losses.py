@@ -144,7 +144,7 @@ PROFILES: dict[str, TrainingProfile] = {
     "fine": TrainingProfile(
         steps=8_000, tuning_steps=4_000, large=dataclasses.replace(_STATION, steps=10_000, tuning_steps=7_000)
     ),
-    "quick": TrainingProfile(width=48, depth=3, samples=60_000, steps=1500, tuning_steps=500, polish_steps=200),
+    "quick": TrainingProfile(width=48, depth=3, samples=60_000, steps=1000, tuning_steps=250, polish_steps=150),
     "paper": _PAPER,
     "paper_printed": dataclasses.replace(_PAPER, loss="paper_printed"),
 }
