@@ -61,14 +61,6 @@ def test_a_goal_behind_an_unknown_body_is_reached_without_touching_it(to_goal):
     assert int(to_goal.flown.guard_interventions) == 0
 
 
-@pytest.mark.slow  # free cubes of an exploration are looked at in test_commands
-def test_no_free_cube_meets_the_body(to_goal):
-    known = to_goal.map
-    centres = known.origin + known.spacing * (np.argwhere(known.free) + 0.5)
-    apart = np.maximum(np.abs(centres) - np.array([1.5, 1.0, 1.0]) - 0.5 * known.spacing, 0.0)
-    assert np.all(apart.max(axis=1) > 0.0)
-
-
 @pytest.mark.slow  # flies all of the test before
 def test_a_seed_gives_the_same_flight_and_views_and_a_target_that_is_not_where_it_was_expected_is_reported(to_goal):
     again = explore(scenario(**HARD, duration=150.0), target=crate(), expected=crate(at=(0.0, 0.0, 1.5)))
