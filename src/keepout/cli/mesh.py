@@ -111,7 +111,7 @@ def fit(
     profile: Annotated[
         str,
         typer.Option(
-            help="default; fine (twice the time); quick (rough); paper, the source paper's network and loss; "
+            help="default; fine (twice the steps); quick (rough); paper, the source paper's network and loss; "
             "paper_printed, with the loss as printed."
         ),
     ] = "default",

@@ -135,7 +135,7 @@ def test_a_toggle_takes_away_what_it_names(opened):
     slide(opened, 100.0)
     opened.set_viewport_size({"width": 640, "height": 480})
     shown, before = state(opened), picture(opened)
-    for name in ("target", "envelope", "guard", "path", "thrust", "chaser"):
+    for name in ("target", "envelope", "guard", "path", "thrust", "velocity", "closest", "ends", "chaser"):
         opened.evaluate("(name) => document.querySelector(`input[name=${name}]`).click()", name)
         toggled, after = state(opened), picture(opened)
         assert toggled["shown"] == shown["shown"] | {name: not shown["shown"][name]}

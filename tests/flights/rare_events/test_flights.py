@@ -1,4 +1,4 @@
-"""Flights by their tapes: what the numbers stand for, the clearance, and a rare event from end to end."""
+"""Flights by their tapes: bounded noise, flights without errors, and what has no tape."""
 
 import equinox as eqx
 import jax

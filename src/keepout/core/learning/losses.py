@@ -59,8 +59,7 @@ class TrainingProfile:
         over_weight: weight of over-statement against under-statement, 0.5 to 1, in the near field (keepout loss).
         far_over_weight: the same beyond the near field, where over-statement costs no safety.
         near_field: metres from the surface up to which over-statement is held and hunted; `for_chaser` extends it.
-        gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper). At 0.02 a fit takes twice the
-            steps to the same error; more than 0.15 gains nothing.
+        gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper).
         kappa: κ of the paper's loss.
         large: the numbers for a target larger than `LARGE_TARGET`; None: the same.
 

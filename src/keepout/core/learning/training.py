@@ -88,7 +88,7 @@ def fit(
 
     Args:
         target: what to learn.
-        profile: "default", "fine" (twice the time, nearer), "quick" (rough), "paper" or "paper_printed"; or a
+        profile: "default", "fine" (twice the steps), "quick" (rough), "paper" or "paper_printed"; or a
             `TrainingProfile`.
         chaser_radius: metres; where a chaser of this radius touches, over-statement is hunted as it is on the surface.
         seed: the same seed, target and profile on the same machine give the same field.
