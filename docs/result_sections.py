@@ -7,27 +7,9 @@ from typing import Any
 from field_sections import fits, guard_fields, motion, slopes, theorems
 from flight_code_sections import flight_code
 from inspection_sections import full_covers, inspecting, public_inspection
+from paper_sections import errata, reproduction, training
 from result_tables import kept_file, measured, note, table
 
-ERRATA = {
-    "erratum": "erratum",
-    "quantity": "quantity",
-    "printed": "as printed",
-    "mended": "mended",
-    "unit": "unit",
-}
-TRAINING = {
-    "batch": "batch",
-    "start": "start",
-    "width": "width",
-    "depth": "layers",
-    "steps": "steps",
-    "distance_term": "L_P",
-    "gradient_term": "L_E",
-    "mean_error_radii": "mean of f̃ − d",
-    "surface_error_radii": "ε on the surface",
-    "worst_overstatement_radii": "largest f̃ on the surface",
-}
 SWEEPS = {
     "rival": "rival",
     "setting": "numbers",
@@ -308,51 +290,6 @@ def adversary() -> list[str]:
     ]
     whole = dict.fromkeys(ADVERSARY) | {"mission": "all", "attack": "all"} | sums | least
     return measured("An adversary, with the guard in real time", words, [*rows, whole], ADVERSARY)
-
-
-def reproduction() -> list[str]:
-    """Give the paper's Section VI, part by part."""
-    kept = kept_file("paper")
-    lines = [
-        "## The paper's Section VI, repeated",
-        "",
-        "`keepout reproduce all -o out/paper` writes this as `tables.json`. Reached: the flight ends within the "
-        "goal's tolerance, 0.1 m. The time to reach is that since which the flight stays there; it may have been "
-        "there before and have left again. In Case 3 flights last 3000 s around intelsat30 and 4000 s around iss, and "
-        "with a larger k_p 6 (k_p − 1.5 m)/v_max longer. Compare Δv only between rows of one duration.",
-        "",
-        *note("paper"),
-        "",
-        "**How long parts took on 2 cores beside other work, with the networks of `benchmarks/results/fields`**",
-        "",
-        *table(
-            [{"part": one["name"], "minutes": one["seconds"] / 60.0} for one in kept["sections"] if "seconds" in one]
-        ),
-    ]
-    for section in kept["sections"]:
-        lines += [f"### {section['title']}", "", f"The paper: {section['paper']}", ""]
-        for paragraph in section["ours"]:
-            lines += [paragraph, ""]
-        for entry in section["tables"]:
-            lines += [f"**{entry['caption']}**", "", *table(entry["rows"])]
-    return lines
-
-
-def training() -> list[str]:
-    """Give fits by the paper's loss, by batch and start."""
-    words = [
-        "`python benchmarks/training.py`; discussed in [Reproduce the paper](reproduce.md). A smaller network than the "
-        "paper's, with its loss, rate and number of halvings, all for as many steps. Terms of the loss are means over "
-        "the last tenth of the steps; lengths in units of the ball that is learned.",
-        *note("training"),
-    ]
-    return measured("Batch and start of the paper's training", words, kept_file("training"), TRAINING)
-
-
-def errata() -> list[str]:
-    """Give what each slip of the paper does."""
-    words = ["`python benchmarks/errata.py`; discussed in [The control law](control.md#the-papers-equations-1-to-48)."]
-    return measured("The paper's errata, measured", words, kept_file("errata"), ERRATA)
 
 
 def rivals() -> list[str]:

@@ -33,15 +33,16 @@ def test_points_in_two_parts_count_as_if_each_had_its_gradient_evaluated():
     """Points that have no gradient to learn cost less, and count the same."""
     layers, whole = random_layers(3, dtype=jnp.float32), labelled(80, 0.6)
     parts = losses.Parted.by(PROFILE, whole)
-    assert len(parts.sloped.x) == int(whole.smooth.sum())
-    joined = jax.tree.map(lambda *columns: np.concatenate(columns), *parts)
+    sloped, joined = int(parts.sloped), jax.tree.map(lambda column: column[:80], parts.points)
+    assert sloped == int(whole.smooth.sum())
+    assert int(parts.known) == 80
 
     def total(layers, rows, sloped):
         value_term, slope_term = losses.terms(layers, PROFILE, SCALE, rows, sloped)
         return jnp.sum(value_term) + jnp.sum(slope_term)
 
     derivative = jax.jit(jax.value_and_grad(total), static_argnums=2)
-    ours, ours_slope = derivative(layers, joined, len(parts.sloped.x))
+    ours, ours_slope = derivative(layers, joined, sloped)
     truth, truth_slope = derivative(layers, whole, 80)
     assert float(ours) == pytest.approx(float(truth), rel=1e-5)
     for a, b in zip(jax.tree.leaves(ours_slope), jax.tree.leaves(truth_slope), strict=True):
@@ -49,10 +50,32 @@ def test_points_in_two_parts_count_as_if_each_had_its_gradient_evaluated():
 
 
 @pytest.mark.long
+def test_steps_of_two_meshes_are_one_program_and_count_each_kind_in_its_true_share():
+    """What a step draws of each kind is rounded, to few programs for all meshes; weights make up for it."""
+    profile = dataclasses.replace(PROFILE, samples=900, batch=64, width=8, depth=1)
+    compiled = []
+    for count, share in ((900, 0.57), (800, 0.58)):
+        whole = labelled(count, share)
+        whole = whole._replace(weight=jnp.where(whole.smooth, whole.weight, 10.0 * whole.weight))
+        parts = losses.Parted.by(profile, whole)
+        state = training._initial(profile, whole, 0, 0)
+        sloped = parts.rows(profile.batch)
+        assert sloped == 40
+        _, _, value_mean, slope_mean = training._train_round(
+            profile, 0, sloped, state, parts, jnp.float32(SCALE), jax.random.key(0), np.zeros(400, np.float32)
+        )
+        compiled.append(training._train_round._cache_size())
+        value_term, slope_term = losses.terms(state.layers, profile, SCALE, whole, count)
+        assert float(value_mean) == pytest.approx(float(value_term.mean()), rel=0.03)
+        assert float(slope_mean) == pytest.approx(float(slope_term.mean()), rel=0.03)
+    assert compiled[0] == compiled[1]
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["paper", "paper_printed"])
 def test_the_papers_eikonal_term_is_asked_of_every_point(name):
     parts = losses.Parted.by(PROFILES[name], labelled(50, 0.3))
-    assert (len(parts.sloped.x), len(parts.plain.x)) == (50, 0)
+    assert (int(parts.sloped), int(parts.known), parts.rows(40)) == (50, 50, 40)
 
 
 @pytest.mark.long

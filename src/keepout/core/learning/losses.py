@@ -7,12 +7,13 @@ the reverse does as many products of matrices, and goes over the activations mor
 """
 
 import dataclasses
+import math
 from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float32
+from jaxtyping import Array, Bool, Float32, Int
 
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
@@ -23,6 +24,8 @@ LARGE_TARGET = 20.0
 """Metres. A target whose bounding ball is larger gets the profile's numbers for large targets, where it has any."""
 BEYOND_CONTACT = 0.7
 """Metres that the near field reaches beyond where a chaser touches."""
+SHARES = 8
+"""Parts of a step's points, of which some are learned with their gradient and the others without."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,20 +181,40 @@ class Batch(NamedTuple):
 
 
 class Parted(NamedTuple):
-    """Labelled points by what is learned from them: value and gradient, or the value only, at half the work."""
+    """Labelled points, first those of which value and gradient are learned, then those of the value only, at half work.
 
-    sloped: Batch
-    plain: Batch
+    What follows the `known` points fills up: whichever mesh they are of, their arrays have one shape, and a step is
+    one program.
+    """
+
+    points: Batch
+    sloped: Int[Array, ""]
+    known: Int[Array, ""]
 
     @classmethod
     def by(cls, profile: TrainingProfile, data: Batch) -> "Parted":
         """Part points as the profile's loss takes them: the paper's asks every point for a gradient."""
         sloped = np.asarray(data.smooth) | (profile.loss != "keepout")
-        return cls(Batch(*(column[sloped] for column in data)), Batch(*(column[~sloped] for column in data)))
+        count = len(sloped)
+        spare = max(profile.samples - count, 0) if profile.batch < count else 0
+        order = np.concatenate([np.flatnonzero(sloped), np.flatnonzero(~sloped), np.zeros(spare, np.int64)])
+        points = Batch(*(jnp.asarray(np.asarray(column)[order]) for column in data))
+        return cls(points, jnp.asarray(sloped.sum()), jnp.asarray(count))
+
+    def rows(self, easy: int) -> int:
+        """Say how many of a step's points have a gradient: their share of all, to a step of `SHARES` of the points.
+
+        The share itself is a weight; so few numbers are so few programs for all meshes.
+        """
+        sloped, count = int(self.sloped), int(self.known)
+        if sloped in (0, count):
+            return easy if sloped else 0
+        step = math.ceil(easy / SHARES)
+        return int(np.clip(step * round(easy * sloped / count / step), step, easy - step))
 
 
 def keepout_terms(
-    layers: Layers, profile: TrainingProfile, scale: float, batch: Batch, sloped: int
+    layers: Layers, profile: TrainingProfile, scale: float | Float32[Array, ""], batch: Batch, sloped: int
 ) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
     """For each point: the weighted pinball of the distance error; for the first ones, the squared gradient error.
 
@@ -211,7 +234,7 @@ def keepout_terms(
 
 
 def paper_terms(
-    layers: Layers, profile: TrainingProfile, scale: float, batch: Batch
+    layers: Layers, profile: TrainingProfile, scale: float | Float32[Array, ""], batch: Batch
 ) -> tuple[Float32[Array, "n"], Float32[Array, "n"]]:
     """For each point: L_P and η L_E, after Zhou et al. Section IV, in normalised units.
 
@@ -230,7 +253,7 @@ def paper_terms(
 
 
 def terms(
-    layers: Layers, profile: TrainingProfile, scale: float, batch: Batch, sloped: int
+    layers: Layers, profile: TrainingProfile, scale: float | Float32[Array, ""], batch: Batch, sloped: int
 ) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
     """Return the two terms of the profile's loss: at each point, and at the first ones, which have a gradient term."""
     if profile.loss == "keepout":

@@ -152,7 +152,7 @@ def fit(
         "numbers": dataclasses.asdict(numbers),
         "chaser_radius": chaser_radius,
         "seed": seed,
-        "sloped_share": len(course.examples.sloped.x) / len(data.x),
+        "sloped_share": int(course.examples.sloped) / len(data.x),
         "seconds": time.perf_counter() - start,
         "seconds_of": seconds,
         "ended": pace.ended,
@@ -239,15 +239,19 @@ class _Course:
         numbers, domain = self.numbers, self.domain
         key = jax.random.fold_in(jax.random.key(self.seed), block)
         rates = learning_rates(numbers, block)
+        batch = min(numbers.batch, int(self.examples.known))
+        hard = round(HARD_SHARE * batch) if phase_of(numbers, block) > 0 else 0
+        sloped = self.examples.rows(batch - hard)
         terms, layers, optimizer = [], state.layers, state.optimizer
         for n in range(0, len(rates), ROUND):
             state = state._replace(layers=layers, optimizer=optimizer)
             layers, optimizer, *means = _train_round(
                 numbers,
-                domain.learned_radius,
-                phase_of(numbers, block) > 0,
+                hard,
+                sloped,
                 state,
                 self.examples,
+                jnp.float32(domain.learned_radius),
                 jax.random.fold_in(key, n),
                 rates[n : n + ROUND],
             )
@@ -343,42 +347,44 @@ def _hidden_matrices(layers: Any) -> Any:
 @functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=NO_LIBRARIES)
 def _train_round(
     profile: losses.TrainingProfile,
-    scale: float,
-    tuning: bool,
+    hard: int,
+    sloped: int,
     state: _State,
     data: losses.Parted,
+    scale: Float32[Array, ""],
     key: Array,
     rates: Float32[Array, "steps"],
 ):
     """Take a step for each of the rates, in one compiled loop.
 
-    Each step's easy points have the kinds of `losses.Parted` in the shares in which all of them have.
+    A step's points are `hard` counter-examples, `sloped` points with a gradient, and the rest without. Those of the
+    latter two kinds count as if they were drawn in the shares in which there are some.
     """
     optimizer = _optimizer(profile)
-    counts = [len(part.x) for part in data]
-    batch = min(profile.batch, sum(counts))
-    hard = round(HARD_SHARE * batch) if tuning else 0
-    plain = round((batch - hard) * counts[1] / sum(counts))
-    sloped = batch - hard - plain
+    batch = min(profile.batch, len(data.points.x))
+    easy = batch - hard
+    share = data.sloped.astype(jnp.float32) / data.known.astype(jnp.float32)
+    weight = jnp.full(batch, HARD_WEIGHT, jnp.float32)
+    for first, rows, of_all in ((hard, sloped, share), (hard + sloped, easy - sloped, 1.0 - share)):
+        weight = weight.at[first : first + rows].set(of_all * easy / max(rows, 1))
 
     def loss(layers: neural.Layers, rows: losses.Batch):
         value_term, slope_term = losses.terms(layers, profile, scale, rows, hard + sloped)
-        weight = jnp.ones(batch, jnp.float32).at[:hard].set(HARD_WEIGHT)
         value_mean, slope_mean = jnp.mean(weight * value_term), jnp.sum(weight[: hard + sloped] * slope_term) / batch
         return value_mean + slope_mean, (value_mean, slope_mean)
 
-    def drawn(key: Array, part: losses.Batch, number: int) -> losses.Batch:
-        row = jax.random.randint(key, (number,), 0, max(len(part.x), 1))
-        return jax.tree.map(lambda column: column[row], part)
-
     def step(carry, now):
         (layers, optimizer_state), (step_key, rate) = carry, now
-        if batch == sum(counts) and not tuning:
-            parts = list(data)
-        else:
-            draws = zip(jax.random.split(step_key, 3), (state.hard, *data), (hard, sloped, plain))
-            parts = [drawn(*draw) for draw in draws]
-        rows = jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
+        rows = data.points
+        if hard or batch < len(data.points.x):
+            keys = jax.random.split(step_key, 3)
+            places = (
+                jax.random.randint(keys[1], (sloped,), 0, data.sloped),
+                jax.random.randint(keys[2], (easy - sloped,), data.sloped, data.known),
+            )
+            drawn = [column[jnp.concatenate(places)] for column in data.points]
+            again = jax.random.randint(keys[0], (hard,), 0, max(len(state.hard.x), 1))
+            rows = losses.Batch(*(jnp.concatenate([old[again], new]) for old, new in zip(state.hard, drawn)))
         (_, means), gradient = jax.value_and_grad(loss, has_aux=True)(layers, rows)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, layers)
         updates = jax.tree.map(lambda update: rate * update, updates)
