@@ -14,8 +14,11 @@ SWEEPS = {
     "rival": "rival",
     "setting": "numbers",
     "chosen": "chosen",
+    "flights": "flights",
     "reached_without_contact": "reached",
     "contacts": "contacts",
+    "refused": "refused",
+    "time_over_bound": "time / bound",
 }
 RIVALS = {
     "target": "target",
@@ -304,7 +307,9 @@ def rivals() -> list[str]:
     ]
     lines = measured("Rivals on the same loop", words, [most[key] for key in sorted(most)], RIVALS)
     swept = [row | {"setting": _setting(row["setting"])} for row in kept_file("rival_sweeps")]
-    said = "**Each choice of a rival's numbers: 64 pairs round `intelsat30`, no guard; reached: without contact**"
+    said = (
+        "**Each choice of a rival's numbers: pairs of seed 1 round `intelsat30`, no guard; reached: without contact**"
+    )
     return [*lines, said, "", *table(swept, SWEEPS)]
 
 

@@ -115,6 +115,8 @@ class PlannedOnce(Convexified):
     """Keepout's field, and the straight guess of the library's examples."""
 
     name: ClassVar[str] = "SCvx once"
+    choices: ClassVar[dict[str, tuple[float, ...]]] = {"metres_a_node": (2.5, 1.25), "time_weight": (0.03, 0.1, 0.3)}
+    swept: ClassVar[int] = 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,6 +124,8 @@ class PlannedOnceGeodesic(Convexified):
     """Keepout's field, and its geodesic as the guess."""
 
     name: ClassVar[str] = "SCvx once (geodesic guess)"
+    choices: ClassVar[dict[str, tuple[float, ...]]] = PlannedOnce.choices
+    swept: ClassVar[int] = 16
     guess: str = "geodesic"
 
 

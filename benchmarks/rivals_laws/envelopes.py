@@ -4,7 +4,8 @@ Wang et al. 2025 keep a chaser out of an ellipsoid round the target; Shi et al. 
 section I). Each envelope encloses every vertex, and is a field in closed form under the default law's own controller,
 its gains and straight guidance: what differs from Keepout is the shape and the way to the goal, nothing else. The
 field's error bound is zero, as the envelope holds the whole target. Its radius, margin and nominal offset are the
-default law's. A start or goal in the envelope is refused: it holds every concave place.
+default law's. A start or goal in the envelope is refused: it holds every concave place. The slope of α at the
+envelope, the one number that is not bound by thrusters and period, is the best of `choices`.
 """
 
 import dataclasses
@@ -53,14 +54,17 @@ def capsule_field(points: np.ndarray) -> CapsuleField:
     return CapsuleField(jnp.asarray(found.start), jnp.asarray(found.end), jnp.asarray(found.radius))
 
 
-def envelope_law(case: RivalCase, name: str, build: Callable[[np.ndarray], Field]) -> Controller:
-    """Give the default law round an envelope of a case's target, made once."""
+def envelope_law(
+    case: RivalCase, name: str, build: Callable[[np.ndarray], Field], rate: float | None = None
+) -> Controller:
+    """Give the default law round an envelope of a case's target, made once; `rate` in 1/s takes the place of its α₀."""
 
     def make() -> Controller:
         # A point cloud's balls or a mesh's triangles: the vertices' envelope is convex, so it holds the faces too.
-        return case.default_law_on(build(case.target.vertices), dataclasses.replace(case.operation, error_bound=0.0))
+        law = case.default_law_on(build(case.target.vertices), dataclasses.replace(case.operation, error_bound=0.0))
+        return law if rate is None else eqx.tree_at(lambda law: law.velocity.class_k.rate, law, jnp.asarray(rate))
 
-    return case.once(name, make)
+    return case.once((name, rate), make)
 
 
 def refuse_inside(law: Controller, start: Point, goal: Point) -> None:
@@ -74,14 +78,17 @@ def refuse_inside(law: Controller, start: Point, goal: Point) -> None:
         require_free(law.velocity.field, float(law.velocity.offset), position, name)
 
 
+@dataclasses.dataclass(frozen=True)
 class Envelope(Rival):
-    """The default law's controller with straight guidance round an envelope."""
+    """The default law's controller with straight guidance round an envelope; `rate` is α₀, 1/s."""
 
+    choices: ClassVar[dict[str, tuple[float, ...]]] = {"rate": (0.04, 0.08, 0.16)}
     build: ClassVar[Callable[[np.ndarray], Field]]
+    rate: float = 0.08
 
     def law(self, case: RivalCase, start: Point, goal: Point) -> Controller:
         """Lead the law to its goal."""
-        law = envelope_law(case, self.name, type(self).build)
+        law = envelope_law(case, self.name, type(self).build, self.rate)
         refuse_inside(law, start, goal)
         return eqx.tree_at(lambda law: law.velocity.guidance.goal, law, jnp.asarray(goal))
 

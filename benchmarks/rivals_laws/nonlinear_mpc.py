@@ -216,6 +216,8 @@ class NonlinearMPC(Rival):
     """On Keepout's field, first guess straight."""
 
     name: ClassVar[str] = "NMPC"
+    choices: ClassVar[dict[str, tuple[float, ...]]] = {"nodes": (12, 20, 30), "effort": (0.02, 0.1)}
+    swept: ClassVar[int] = 8
     packages: ClassVar[tuple[str, ...]] = ("casadi",)
     batch: ClassVar[int] = 10
     shape: str = "field"
@@ -273,6 +275,7 @@ class NonlinearMPCGeodesic(NonlinearMPC):
     """On Keepout's field, first guess along its geodesic."""
 
     name: ClassVar[str] = "NMPC (geodesic guess)"
+    choices: ClassVar[dict[str, tuple[float, ...]]] = {}
     guess: str = "geodesic"
 
 
@@ -281,6 +284,7 @@ class NonlinearMPCEllipsoid(NonlinearMPC):
     """Round the smallest ellipsoid."""
 
     name: ClassVar[str] = "NMPC (ellipsoid)"
+    choices: ClassVar[dict[str, tuple[float, ...]]] = {}
     shape: str = "ellipsoid"
 
 

@@ -23,6 +23,7 @@ class Rival(abc.ABC):
         recipe: raised where the code would fly otherwise with the same numbers.
         batch: flights in one compiled batch, where a law's arrays are large.
         choices: of its numbers by name, those that `rivals.py --sweep` flies, each with each.
+        swept: pairs that a sweep flies, fewer where the rival is slow.
         more_seconds: that its flights may take longer than the others', where it slows down early.
 
     """
@@ -32,6 +33,7 @@ class Rival(abc.ABC):
     recipe: ClassVar[int] = 1
     batch: ClassVar[int] = 128
     choices: ClassVar[dict[str, tuple[float, ...]]] = {}
+    swept: ClassVar[int] = 64
     more_seconds: ClassVar[int] = 0
 
     @abc.abstractmethod

@@ -22,10 +22,10 @@ SHAPES = {
     "cylinder": (zones.Cylinder(CENTRE, AXIS, 1.0, 4.0), exact.cylinder(CENTRE, AXIS, 1.0, 4.0)),
     "cone": (zones.Cone(CENTRE, AXIS, 0.4, 5.0), exact.cone(CENTRE, AXIS, 0.4, 5.0)),
     "beside a cone": (
-        zones.BesideCone(CENTRE, CENTRE - AXIS * 0.5 / np.tan(0.3), AXIS, 4.0, 0.3),
+        zones.BesideCone(CENTRE, AXIS, 4.0, apex=CENTRE - AXIS * 0.5 / np.tan(0.3), half_angle=0.3),
         exact.beside(CENTRE, AXIS, 4.0, half_angle=0.3, radius=0.5),
     ),
-    "beside a tube": (zones.BesideTube(CENTRE, AXIS, 4.0, 0.7), exact.beside(CENTRE, AXIS, 4.0, radius=0.7)),
+    "beside a tube": (zones.BesideTube(CENTRE, AXIS, 4.0, radius=0.7), exact.beside(CENTRE, AXIS, 4.0, radius=0.7)),
 }
 EXACT = ("sphere", "box", "cylinder", "cone")
 _RNG = np.random.default_rng(5)
@@ -165,3 +165,27 @@ def test_a_field_with_zones_is_the_least_of_them():
     unit = away / size[:, 0]
     np.testing.assert_allclose(hessian[nearer], (np.eye(3) - unit[:, :, None] * unit[:, None, :]) / size, atol=1e-9)
     assert np.all(np.isneginf(values(field, np.array([[np.nan, 0.0, 1.0], [np.inf, 0.0, 1.0]]))))
+
+
+@pytest.mark.parametrize("name", ["beside a cone", "beside a tube"])
+def test_clear_room_is_inside_the_walls_within_the_length_and_beyond_where_it_begins(name):
+    """By its definition; the field then is the larger of the two there, but no more than a zone says."""
+    room = zones.ClearRoom(SHAPES[name][0], 0.8, 0.3)
+    points = _RNG.uniform(-5.0, 5.0, (4000, 3)) + CENTRE
+    away = points - CENTRE
+    along = away @ AXIS
+    across = np.linalg.norm(away - along[:, None] * AXIS, axis=1)
+    wide = 0.5 + along * np.tan(0.3) if name == "beside a cone" else 0.7
+    inside = (np.linalg.norm(away, axis=1) < 4.0) & (along > 0.8) & (across < wide)
+    said = np.asarray(jax.vmap(room.value)(points))
+    np.testing.assert_array_equal(said > 0.3, inside)
+    ball = zones.Zone(zones.Sphere(CENTRE + 2.0 * AXIS, 0.2), np.eye(3)[None], [100.0], 0.0, 0.0)
+    field = zones.ZonedField(_Plane(), (ball,), (room,))
+    far = np.linalg.norm(points - CENTRE - 2.0 * AXIS, axis=1) - 0.2
+    np.testing.assert_allclose(values(field, points), np.minimum(np.maximum(points[:, 2], said), far), atol=1e-12)
+    gradient = np.asarray(_derivatives(field, jnp.asarray(points))[1])
+    step = 1e-6 * np.eye(3)
+    slopes = np.stack([(values(field, points + d) - values(field, points - d)) / 2e-6 for d in step], axis=1)
+    smooth = np.abs(np.linalg.norm(slopes, axis=1) - 1.0) < 1e-4  # no edge between the two points
+    assert smooth.mean() > 0.99
+    np.testing.assert_allclose(gradient[smooth], slopes[smooth], atol=1e-4)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from truths.approaches import CORRIDOR, LEGS, SPHERE, SUN, TREE
+from truths.boxes import LEARNED
 
 import keepout
 from keepout.core.audit.tube import Contact
@@ -17,6 +18,8 @@ from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.flights.on_board import OnBoard
+
+_BOX = keepout.Target.load("box")
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +98,38 @@ REFUSED = [
 def test_what_cannot_be_flown_is_refused_with_names_and_numbers(change, said):
     with pytest.raises(KeepoutError, match=said):
         prepare({**TREE, **change})
+
+
+MOUTH = {**CORRIDOR, "radius": 0.4}
+ROUGH = {**TREE, "field": {"source": str(LEARNED)}, "zone": [], "leg": [{**LEGS[2], "position": [2.75, 0.0, 0.0]}]}
+"""A field that says far less than the distance, and a hold a quarter of a metre from where the chaser would touch."""
+
+
+@pytest.mark.long
+def test_room_that_is_proved_clear_is_flown_where_the_field_says_less():
+    with pytest.raises(KeepoutError, match=r'leg "capture": .* inside the keep-out zone'):
+        prepare({**ROUGH, "corridor": [MOUTH]})
+    start = {"position": [6.0, 0.3, 0.0]}
+    flight = keepout.fly({**ROUGH, "corridor": [{**MOUTH, "clear_from": 0.51}], "start": start, "duration": 300.0})
+    assert flight.start_certified
+    assert flight.outcome.reached
+    assert flight.outcome.guard_interventions == 0
+    assert flight.audit.contact is Contact.NO
+    assert [zone.entered for zone in flight.audit.zones] == [Contact.NO]
+    assert np.linalg.norm(flight.record.position[-1] - [2.75, 0.0, 0.0]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"clear_from": 0.49}, r"clear_from 0\.49 m, but the mesh is 0\.49\d* m from \[2\.49"),
+        ({"clear_from": 0.6, "axis": [1.0, 1.0, 0.0]}, r"and it must be 0\.5 m and a few millimetres"),
+        ({"clear_from": 10.0}, "must be less than length"),
+    ],
+)
+def test_room_that_is_not_clear_is_refused_with_both_distances(change, said):
+    with pytest.raises(KeepoutError, match=said):
+        approach.require_approach(Surroundings(Scenario.of({**ROUGH, "corridor": [{**MOUTH, **change}]}), _BOX))
 
 
 @pytest.mark.slow  # a minute; that a way is not there is refused in tests/core/control/test_guidance.py

@@ -99,40 +99,57 @@ class Cone(Shape):
         return jnp.where(beyond > 0.0, side, jnp.maximum(beyond, out))
 
 
-class BesideCone(Shape):
-    """All within `length` of `port` but what is within `half_angle` (rad) of the unit vector `axis`, seen from `apex`.
+class Beside(Shape):
+    """All within `length` of `port` but what is in an endless cone or tube along the unit vector `axis`.
 
     The larger of the signed distances of two bodies is a lower bound of that of what they share.
     """
 
     port: Vector = eqx.field(converter=as_float64)
-    apex: Vector = eqx.field(converter=as_float64)
     axis: Vector = eqx.field(converter=as_float64)
     length: Scalar = eqx.field(converter=as_float64)
-    half_angle: Scalar = eqx.field(converter=as_float64)
+
+    @abc.abstractmethod
+    def room(self, point: Vector) -> Scalar:
+        """Give how deep a point (3,) m is in the endless cone or tube, m, exactly; negative outside."""
 
     def distance(self, point: Vector) -> Scalar:
-        """Give the larger of the distances to the ball, and out of the endless cone."""
+        """Give the larger of the distances to the ball, and out of the cone or tube."""
+        return jnp.maximum(norm(point - self.port) - self.length, self.room(point))
+
+    def depth(self, point: Vector, clear_from: Scalar) -> Scalar:
+        """Give how deep a point is between the walls, within `length`, `clear_from` (m) or more along the axis.
+
+        It is positive inside only, the least of three depths, and 1-Lipschitz as each of them.
+        """
+        away = point - self.port
+        along = jnp.sum(away * self.axis)
+        return jnp.minimum(jnp.minimum(self.room(point), self.length - norm(away)), along - clear_from)
+
+
+class BesideCone(Beside):
+    """Beside all that is within `half_angle` (rad) of the axis, seen from `apex`."""
+
+    apex: Vector = eqx.field(converter=as_float64)
+    half_angle: Scalar = eqx.field(converter=as_float64)
+
+    def room(self, point: Vector) -> Scalar:
+        """Give the distance to the cone's side, or to its apex behind it."""
         away = point - self.apex
         across, along = _polar(away, self.axis)
         sine, cosine = jnp.sin(self.half_angle), jnp.cos(self.half_angle)
         behind = across * sine + along * cosine <= 0.0  # where the apex is what is nearest of the cone
-        wall = jnp.where(behind, norm(away), across * cosine - along * sine)
-        return jnp.maximum(norm(point - self.port) - self.length, -wall)
+        return -jnp.where(behind, norm(away), across * cosine - along * sine)
 
 
-class BesideTube(Shape):
-    """All within `length` of `port` but what is within `radius` of the line along the unit vector `axis` through it."""
+class BesideTube(Beside):
+    """Beside all that is within `radius` of the line along the axis through the port."""
 
-    port: Vector = eqx.field(converter=as_float64)
-    axis: Vector = eqx.field(converter=as_float64)
-    length: Scalar = eqx.field(converter=as_float64)
     radius: Scalar = eqx.field(converter=as_float64)
 
-    def distance(self, point: Vector) -> Scalar:
-        """Give the larger of the distances to the ball, and out of the endless cylinder."""
-        away = point - self.port
-        return jnp.maximum(norm(away) - self.length, self.radius - _polar(away, self.axis)[0])
+    def room(self, point: Vector) -> Scalar:
+        """Give the distance to the tube's side."""
+        return self.radius - _polar(point - self.port, self.axis)[0]
 
 
 def _polar(away: Vector, axis: Vector) -> tuple[Scalar, Scalar]:
@@ -233,20 +250,43 @@ def at_word(zone: Zone | SweptCone, said: bool) -> Zone | SweptCone:
     return dataclasses.replace(zone, end=jnp.full_like(zone.end, -jnp.inf if said else jnp.inf))
 
 
+class ClearRoom(eqx.Module):
+    """Room before a port of which it is proved that the chaser touches nothing there.
+
+    Attributes:
+        beside: the corridor whose inside it is.
+        clear_from: how far from the port it begins, along the axis, m.
+        shift: added to the depth, m: a field's own threshold.
+
+    """
+
+    beside: Beside
+    clear_from: Scalar = eqx.field(converter=as_float64)
+    shift: Scalar = eqx.field(converter=as_float64)
+
+    def value(self, point: Vector) -> Scalar:
+        """Give how deep a point (m) is in the room, and `shift`; 1-Lipschitz."""
+        return self.beside.depth(point, self.clear_from) + self.shift
+
+
 class ZonedField(Field):
     """The least of a field and of zones: what is above a threshold of it is so of the field, and outside the zones.
 
-    Its gradient jumps where the two are equal, so that it is not twice differentiable there.
+    Where room is proved clear the field itself counts as what that says, if it says more: above the threshold then is
+    what is so of the field, or in clear room. The gradient jumps where two of them are equal, so that it is not twice
+    differentiable there.
 
     Attributes:
         inner: the field.
         zones: with their shifts for that field.
+        clear: rooms, with their shifts for that field.
         time: now, s; every zone counts that ends after it.
 
     """
 
     inner: Field
     zones: tuple[Zone | SweptCone, ...]
+    clear: tuple[ClearRoom, ...] = ()
     time: Scalar = eqx.field(converter=as_float64, default=0.0)
 
     def at_time(self, time: Scalar) -> Field:
@@ -258,28 +298,41 @@ class ZonedField(Field):
         near = within_numbers(point)
         return of_places(point, jnp.min(jnp.stack([zone.value(near, self.time) for zone in self.zones])))
 
+    def _most(self, point: Vector) -> Scalar:
+        """Of all clear rooms; −∞ where the point is none."""
+        near = within_numbers(point)
+        return of_places(point, jnp.max(jnp.stack([room.value(near) for room in self.clear])))
+
+    def _counting(self, points: Points, found: tuple[Array, ...], derivatives) -> tuple[Array, ...]:
+        """Give what the field says, from what `inner` says at the points: its value, or with derivatives.
+
+        `derivatives` makes the same of a function of one point.
+        """
+        for of, there, sign in ((self._most, self.clear, 1.0), (self._least, self.zones, -1.0)):
+            if there:
+                other = _each(derivatives(of), points)
+                counts = sign * other[0] > sign * found[0]
+                pairs = zip(other, found, strict=True)
+                found = tuple(jnp.where(jnp.expand_dims(counts, range(counts.ndim, b.ndim)), a, b) for a, b in pairs)
+        return found
+
     def value(self, points: Points) -> Values:
         """Give the least signed distance, m."""
-        return jnp.minimum(self.inner.value(points), _each(self._least, points))
+        return self._counting(points, (self.inner.value(points),), lambda of: lambda point: (of(point),))[0]
 
     def value_and_gradient(self, points: Points) -> tuple[Values, Points]:
         """Give the least signed distance, m, and its gradient."""
-        value, gradient = self.inner.value_and_gradient(points)
-        least, slope = _each(jax.value_and_grad(self._least), points)
-        nearer = least < value
-        return jnp.where(nearer, least, value), jnp.where(nearer[..., None], slope, gradient)
+        value, gradient = self._counting(points, self.inner.value_and_gradient(points), jax.value_and_grad)
+        return value, gradient
 
     def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
         """Give the least signed distance, m, its gradient, and its Hessian, 1/m."""
-        value, gradient, hessian = self.inner.value_gradient_hessian(points)
-        least, slope = _each(jax.value_and_grad(self._least), points)
-        nearer = least < value
-        bend = _each(jax.hessian(self._least), points)
-        return (
-            jnp.where(nearer, least, value),
-            jnp.where(nearer[..., None], slope, gradient),
-            jnp.where(nearer[..., None, None], bend, hessian),
-        )
+
+        def twice(of):
+            return lambda point: (*jax.value_and_grad(of)(point), jax.hessian(of)(point))
+
+        value, gradient, hessian = self._counting(points, self.inner.value_gradient_hessian(points), twice)
+        return value, gradient, hessian
 
 
 def _each(function, points: Points):

@@ -27,9 +27,10 @@ from keepout.core.control.law import Law
 from keepout.core.control.legs import LegGuidance, LegLaw, Legs, SpeedByDistance
 from keepout.core.errors import ControlError, KeepoutError, KeepOutZoneError, ScenarioError
 from keepout.core.fields import zones as shapes
-from keepout.core.fields.field import Field
-from keepout.core.fields.zones import SweptCone, Zone, ZonedField
+from keepout.core.fields.field import Field, in_pieces
+from keepout.core.fields.zones import ClearRoom, SweptCone, Zone, ZonedField
 from keepout.core.flight.setup import FlightSetup
+from keepout.core.geometry.distance import Distance
 from keepout.core.kept import digest
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
@@ -47,6 +48,8 @@ _LEAST_ROOM, _ROOM = 6.0, 0.25
 """About a leg's ends, within which its way is looked for at first: at least so much, m, and this share of the leg."""
 _PORT = 1.0
 """A corridor's port is nearer to the mesh than this, m."""
+_FINEST = 2e-3
+"""Metres: half the side of the smallest cubes by which room is proved clear."""
 
 
 def require_one_leg(scenario: Scenario, led_by: str) -> None:
@@ -177,7 +180,7 @@ def zone_shape(zone: ZoneEntry) -> shapes.Shape:
     return getattr(shapes, zone.shape.capitalize())(**_parts(zone))
 
 
-def corridor_shape(corridor: CorridorEntry) -> shapes.Shape:
+def corridor_shape(corridor: CorridorEntry) -> shapes.Beside:
     """Give the room beside a corridor, within its length of the port."""
     shared: dict[str, Any] = {"port": corridor.port, "axis": unit(corridor.axis), "length": corridor.length}
     if corridor.half_angle is not None:
@@ -264,7 +267,8 @@ def _swept(around: Surroundings, zone: ZoneEntry, shift: float) -> SweptCone | N
 def zoned(around: Surroundings, field: Field, threshold: float) -> Field:
     """Put a scenario's zones and corridors into a field, so that each is entered where the field is its threshold.
 
-    Of a zone that is when the chaser's ball touches it, of a corridor's wall when the chaser's centre does.
+    Of a zone that is when the chaser's ball touches it, of a corridor's wall when the chaser's centre does. In
+    room that a corridor declares clear the field counts as above its threshold: `require_clear` has proved it.
 
     Args:
         around: the scenario's surroundings.
@@ -276,7 +280,12 @@ def zoned(around: Surroundings, field: Field, threshold: float) -> Field:
     shift = threshold - scenario.chaser.radius
     zones: list[Zone | SweptCone] = [standing_zone(around, entry, shift) for entry in scenario.zone]
     zones += [Zone(corridor_shape(entry), np.eye(3)[None], [math.inf], 0.0, threshold) for entry in scenario.corridor]
-    return ZonedField(field, tuple(zones)) if zones else field
+    clear = tuple(
+        ClearRoom(corridor_shape(entry), entry.clear_from, threshold)
+        for entry in scenario.corridor
+        if entry.clear_from is not None
+    )
+    return ZonedField(field, tuple(zones), clear) if zones else field
 
 
 @dataclass(frozen=True)
@@ -347,7 +356,8 @@ class LegPlan(GuidancePlan):
 
     def identity(self, field: Field) -> tuple[Hashable, ...]:
         """Say what a guidance depends on beside field, offset, goal and start."""
-        walls = [np.asarray(leaf) for zone in getattr(field, "zones", ()) for leaf in jax.tree.leaves(zone)]
+        there = (getattr(field, "zones", ()), getattr(field, "clear", ()))
+        walls = [np.asarray(leaf) for leaf in jax.tree.leaves(there)]
         legs = self.scenario.model_dump_json(include={"leg", "zone", "corridor", "approach"})
         return (digest(legs, *walls), getattr(self.each, "spacing", None))
 
@@ -489,6 +499,46 @@ def require_approach(around: Surroundings) -> None:
                 raise ScenarioError(
                     f"{place_name}: {list(place)} m is {-away:.3g} m beyond the wall of {name}, and within its length"
                 )
+        if target is not None and entry.clear_from is not None:
+            require_clear(wall, entry.clear_from, target.distance, radius + around.kept_margin, name)
+
+
+def require_clear(beside: shapes.Beside, clear_from: float, distance: Distance, needed: float, name: str) -> None:
+    """Prove that the room which a corridor declares clear is nowhere nearer to the mesh than it must be.
+
+    Cubes over the room are halved until each is outside of it, or has a centre so far from the mesh that all of it is
+    far enough: depth in the room and distance are 1-Lipschitz.
+
+    Args:
+        beside: of the corridor.
+        clear_from: where the room begins, m along the axis from the port.
+        distance: exact, to the mesh.
+        needed: how far from the mesh it must be, m.
+        name: of the corridor, in refusals.
+
+    Raises:
+        ScenarioError: it is not so, or by too little to be proved; with both distances and where.
+
+    """
+    depth = jax.jit(jax.vmap(lambda point: beside.depth(point, as_float64(clear_from))))
+    half, centres = float(beside.length), np.asarray(beside.port)[None]
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    while len(centres):
+        reach, room = math.sqrt(3.0) * half, in_pieces(depth, centres)
+        centres, room = centres[room > -reach], room[room > -reach]
+        away = distance.distance(centres)
+        near = away - reach < needed
+        refuted = near & (away < needed) & (room > 0.0)
+        if refuted.any() or (half < _FINEST and near.any()):
+            worst = np.flatnonzero(refuted if refuted.any() else near)
+            worst = worst[np.argmin(away[worst])]
+            raise ScenarioError(
+                f"{name}: clear_from {clear_from:g} m, but the mesh is {away[worst]:.4g} m from "
+                f"{np.round(centres[worst], 3).tolist()} m, and it must be {needed:g} m and a few millimetres from all "
+                "that is declared clear; begin farther from the port, or make the corridor narrower"
+            )
+        centres = (centres[near][:, None] + 0.5 * half * corners).reshape(-1, 3)
+        half *= 0.5
 
 
 def _beyond(away: float) -> str:

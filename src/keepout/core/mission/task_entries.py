@@ -118,6 +118,8 @@ class CorridorEntry(Entry):
         length: Distance from the port within which the corridor binds, m.
         half_angle: From the cone's axis to its side, rad; unset: a tube.
         radius: Of the tube, which needs it, or of the cone at the port, m; unset: the cone begins as a point.
+        clear_from: From so far from the port on, along the axis, m, the inside is proved clear of the mesh before the
+            flight, and counts as clear where the field says less; unset: the field counts.
 
     """
 
@@ -127,8 +129,11 @@ class CorridorEntry(Entry):
     length: Positive
     half_angle: HalfAngle | None = None
     radius: Positive | None = None
+    clear_from: NonNegative | None = None
 
     def _contradictions(self) -> Iterator[str]:
+        if self.clear_from is not None and self.clear_from >= self.length:
+            yield f"clear_from {self.clear_from} m: it must be less than length, {self.length} m"
         if self.half_angle is None and self.radius is None:
             yield "give half_angle of a cone, radius of a tube, or both of a cone that is so wide at the port"
         if not any(self.axis):

@@ -125,7 +125,8 @@ def _approach(scenario: Scenario) -> Iterator[str]:
                     f" from a circle{wide}" if wide else ""
                 )
             name = named("corridor", entry, number)
-            told.append(f"{name}, {form}, within {entry.length:g} m of the port {_place(entry.port)} m")
+            clear = "" if entry.clear_from is None else f", proved clear from {entry.clear_from:g} m on"
+            told.append(f"{name}, {form}, within {entry.length:g} m of the port {_place(entry.port)} m{clear}")
         yield f"The chaser's centre stays in {_count(len(told), 'corridor')}: {'; '.join(told)}."
     rule = scenario.approach.speed_by_distance
     if rule:
