@@ -1,5 +1,5 @@
 // Zones, corridors and hold points of a flight: clear bodies, there while they stand, turned as their axes are.
-import { BoxGeometry, DoubleSide, EdgesGeometry, Group, LatheGeometry, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, OctahedronGeometry, SphereGeometry, Vector2, Vector3 } from "three";
+import { BoxGeometry, BufferGeometry, DoubleSide, EdgesGeometry, Float32BufferAttribute, Group, LatheGeometry, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, OctahedronGeometry, SphereGeometry, Vector2, Vector3 } from "three";
 import { CORRIDOR, LEG, ZONE } from "./colours.js";
 import { element } from "./layout.js";
 import { shell } from "./scene.js";
@@ -34,7 +34,7 @@ export class Approach {
 
 // One body in its own axes, with lines where it has edges.
 function drawn(of) {
-  const form = of.profile ? new LatheGeometry(of.profile.map((point) => new Vector2(...point)), AROUND) : of.size ? new BoxGeometry(...of.size) : new SphereGeometry(1, AROUND, AROUND / 2);
+  const form = of.corners ? triangles(of) : of.profile ? new LatheGeometry(of.profile.map((point) => new Vector2(...point)), AROUND) : of.size ? new BoxGeometry(...of.size) : new SphereGeometry(1, AROUND, AROUND / 2);
   const body = new Mesh(form, shell(COLOURS[of.kind], 0.08, 0.4));
   body.material.side = DoubleSide;
   body.renderOrder = 3.5;
@@ -44,4 +44,12 @@ function drawn(of) {
   if (of.profile) placed.quaternion.setFromUnitVectors(new Vector3(0, 1, 0), new Vector3(...of.axis));
   if (of.semi_axes) placed.scale.set(...of.semi_axes);
   return new Group().add(placed);
+}
+
+// A mesh, each triangle with corners of its own, so that faces are flat.
+function triangles({ corners, faces }) {
+  const form = new BufferGeometry();
+  form.setAttribute("position", new Float32BufferAttribute(faces.flat().flatMap((k) => corners[k]), 3));
+  form.computeVertexNormals();
+  return form;
 }

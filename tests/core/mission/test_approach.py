@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from truths.approaches import CORRIDOR, LEGS, SPHERE, SUN, TREE
 from truths.boxes import LEARNED
 
@@ -58,8 +59,11 @@ def test_an_approach_holds_where_it_is_told_and_enters_nothing(flight):
 
 
 @pytest.mark.long
-def test_a_law_that_flies_through_is_kept_out_of_a_zone():
-    wall = {"name": "wall", "shape": "box", "lower": [9.0, -9.0, -9.0], "upper": [11.0, 9.0, 9.0]}
+def test_a_law_that_flies_through_is_kept_out_of_a_zone(tmp_path):
+    (tmp_path / "wall.obj").write_text(
+        trimesh.creation.box(bounds=[[9.0, -9.0, -9.0], [11.0, 9.0, 9.0]]).export(file_type="obj")
+    )
+    wall = {"name": "wall", "shape": "mesh", "file": str(tmp_path / "wall.obj")}
     tree = {key: value for key, value in TREE.items() if key not in ("leg", "corridor", "approach")}
     tree |= {"zone": [wall], "goal": {"position": [-6.0, 0.0, 0.0]}, "faults": {"law": "through"}}
     tree |= {"control": {"guidance": "straight"}}
@@ -145,6 +149,18 @@ def test_a_wall_round_the_way_is_refused_by_the_leg_that_it_closes():
     ]
     with pytest.raises(KeepoutError, match=r'leg "near": start: .* is not connected to the goal'):
         prepare({**TREE, "zone": walls, "corridor": []})
+
+
+def test_a_leg_in_inertial_axes_is_where_it_is_as_the_flight_begins():
+    orbit = {"semi_major_axis": 7e6, "inclination": 0.7, "true_anomaly": 1.0, "eccentricity": 0.05}
+    given = [{"position": [3.0, -6.0, 2.0], "axes": "inertial"}, {"position": [1.0, 8.0, 2.0], "tolerance": 0.3}]
+    scenario = Scenario.of({"leg": given, "attitude": {"kind": "inertial"}, "orbit": orbit})
+    assert scenario.goal.position == (1.0, 8.0, 2.0)
+    axes = approach._followed(Surroundings(scenario).motion, "inertial", jnp.float64(1.0), 1)[0]
+    np.testing.assert_allclose(axes @ np.array(scenario.leg[0].position), given[0]["position"], atol=1e-12)
+    assert scenario.replace(seed=3).leg == scenario.leg
+    with pytest.raises(KeepoutError, match=r'leg\.0\.axes: "inertial", and attitude\.kind is "vvlh"'):
+        Scenario.of({"leg": given, "orbit": orbit})
 
 
 def test_earliest_times_follow_from_what_is_said():

@@ -76,6 +76,8 @@ def surface(body):
         round_z = [across * np.cos(turns)[:, None], across * np.sin(turns)[:, None], along + 0.0 * turns[:, None]]
         turned = Rotation.align_vectors(np.array([body["axis"]]), np.array([[0.0, 0.0, 1.0]]))[0]
         return turned.apply(np.stack(round_z, axis=-1).reshape(-1, 3)) + body["at"]
+    if "corners" in body:
+        return np.array(body["corners"])[np.array(body["faces"])].mean(axis=1) + body["at"]
     if "size" in body:
         corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
         return corners * body["size"] + body["at"]
@@ -83,8 +85,12 @@ def surface(body):
     return rays / np.linalg.norm(rays, axis=1, keepdims=True) * body["semi_axes"] + body["at"]
 
 
-def test_bodies_are_drawn_where_the_audit_judges_them():
-    scenario = Scenario(target={"source": "box"}, leg=LEGS, zone=ZONES, corridor=CORRIDORS)
+def test_bodies_are_drawn_where_the_audit_judges_them(tmp_path):
+    (tmp_path / "tip.off").write_text(
+        "OFF\n4 4 0\n30 0 0\n32 0 0\n30 2 0\n30 0 2\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 2 0 3\n"
+    )
+    mesh = {"shape": "mesh", "file": str(tmp_path / "tip.off")}
+    scenario = Scenario(target={"source": "box"}, leg=LEGS, zone=[*ZONES, mesh], corridor=CORRIDORS)
     bodies = told(scenario, 10.0)["bodies"]
     for body, region in zip(bodies, regions(Surroundings(scenario)), strict=True):
         np.testing.assert_allclose(region.distance(surface(body)), 0.0, atol=2e-4)

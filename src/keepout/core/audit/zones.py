@@ -6,13 +6,15 @@ A zone that turns is bounded piece by piece: while it is turned by at most φ ag
 piece, a point p of the path is nearer to it by at most φ ‖p‖. Pieces are halved until that decides, or are one step.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from jaxtyping import Float
+import scipy.spatial
+from jaxtyping import Float, Int
 
 from keepout.core.audit.tube import Contact, Tube, lengths, nearest
+from keepout.core.geometry.distance import ExactDistance
 
 Signed = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
 _LONGEST = 512
@@ -82,6 +84,22 @@ def cone(centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], half_angl
         size, angle = np.hypot(*plane.T), np.arctan2(*plane.T)
         edge = _to_segment(plane, np.zeros(2), rim)
         return np.where(angle <= half_angle, np.maximum(size - length, -edge), edge)
+
+    return distance
+
+
+def mesh(
+    bodies: Sequence[tuple[Float[np.ndarray, "corners 3"], Int[np.ndarray, "faces 3"]]],
+) -> Signed:
+    """Give the distance, m, to convex bodies by their corners and triangles; inside of one it says 0."""
+    within = [scipy.spatial.Delaunay(corners) for corners, _ in bodies]
+    begins = np.cumsum([0, *(len(corners) for corners, _ in bodies)])[:-1]
+    faces = [of + begin for (_, of), begin in zip(bodies, begins, strict=True)]
+    surface = ExactDistance(np.concatenate([corners for corners, _ in bodies]), np.concatenate(faces))
+
+    def distance(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points"]:
+        inside = np.any([body.find_simplex(points) >= 0 for body in within], axis=0)
+        return np.where(inside, 0.0, surface.distance(points))
 
     return distance
 

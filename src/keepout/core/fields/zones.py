@@ -99,6 +99,26 @@ class Cone(Shape):
         return jnp.where(beyond > 0.0, side, jnp.maximum(beyond, out))
 
 
+class Mesh(Shape):
+    """All within one of some convex bodies; a body's points are on the inner side of all its planes.
+
+    The signed distance of a half-space is at most that of a body in it, so the largest of a body's planes is a lower
+    bound, 0 on its surface and 1-Lipschitz as each of them; and so is the least of all bodies outside of them.
+
+    Attributes:
+        normals: outward unit normals of each body's planes.
+        offsets: of these planes, m.
+
+    """
+
+    normals: Float[Array, "bodies planes 3"] = eqx.field(converter=as_float64)
+    offsets: Float[Array, "bodies planes"] = eqx.field(converter=as_float64)
+
+    def distance(self, point: Vector) -> Scalar:
+        """Give the least, over the bodies, of how far a point is beyond its planes."""
+        return jnp.min(jnp.max(jnp.sum(self.normals * point, axis=-1) - self.offsets, axis=-1))
+
+
 class Beside(Shape):
     """All within `length` of `port` but what is in an endless cone or tube along the unit vector `axis`.
 

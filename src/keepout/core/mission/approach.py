@@ -31,6 +31,7 @@ from keepout.core.fields.field import Field, in_pieces
 from keepout.core.fields.zones import ClearRoom, SweptCone, Zone, ZonedField
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.distance import Distance
+from keepout.core.geometry.hulls import hulls_of
 from keepout.core.kept import digest
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
@@ -177,6 +178,12 @@ def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> 
 
 def zone_shape(zone: ZoneEntry) -> shapes.Shape:
     """Give the shape of a zone, in its own axes."""
+    if zone.file is not None:
+        parts = hulls_of(zone.file, zone.units)
+        most = max(len(hull.offsets) for hull in parts)
+        rows = [np.arange(most) % len(hull.offsets) for hull in parts]  # as many planes for each, some twice
+        numbers = [(hull.normals[row], hull.offsets[row]) for hull, row in zip(parts, rows, strict=True)]
+        return shapes.Mesh(*(np.stack(column) for column in zip(*numbers, strict=True)))
     return getattr(shapes, zone.shape.capitalize())(**_parts(zone))
 
 
@@ -199,10 +206,14 @@ def regions(around: Surroundings) -> list[Region]:
             rotations = np.asarray(
                 _followed(around.motion, entry.axes, as_float64(scenario.control.period), scenario.steps + 1)
             )
+        if entry.file is None:
+            distance = getattr(judged, entry.shape)(**_parts(entry))
+        else:
+            distance = judged.mesh([(hull.corners, hull.faces) for hull in hulls_of(entry.file, entry.units)])
         found.append(
             Region(
                 name=named("zone", entry, number),
-                distance=getattr(judged, entry.shape)(**_parts(entry)),
+                distance=distance,
                 radius=scenario.chaser.radius,
                 rotations=rotations,
                 rate=around.turning_rate(entry.axes),

@@ -102,6 +102,34 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
         tolerance = last.get("tolerance", task_entries.LegEntry.model_fields["tolerance"].default)
         return {**tree, "goal": {"position": last["position"], "tolerance": tolerance}}
 
+    @model_validator(mode="before")
+    @classmethod
+    def _inertial_legs_are_over_the_body(cls, tree: Any) -> Any:
+        """Turn the places of legs in inertial axes into body axes, where the target stands still in them."""
+        legs = tree.get("leg") if isinstance(tree, Mapping) else None
+        if not isinstance(legs, list | tuple) or "inertial" not in [_axes_of(leg) for leg in legs]:
+            return tree
+        try:
+            attitude = entries.AttitudeEntry.model_validate(tree.get("attitude", {}))
+            orbit = entries.OrbitEntry.model_validate(tree.get("orbit", {}))
+            found = [task_entries.LegEntry.model_validate(leg) for leg in legs]
+        except ValidationError:
+            return tree  # and what is wrong is said where it is
+        if attitude.kind != "inertial":
+            return tree
+        import jax.numpy as jnp
+
+        from keepout.core.motion.orbit import Orbit
+        from keepout.core.motion.rotation import vvlh_axes
+
+        # Body axes are those of VVLH at the start.
+        axes = vvlh_axes(*Orbit(**orbit.model_dump(exclude={"j2"})).inertial_state(jnp.asarray(0.0)))
+        turned = [leg.model_dump() for leg in found]
+        for leg in turned:
+            if leg["axes"] == "inertial":
+                leg |= {"axes": "body", "position": (axes @ jnp.asarray(leg["position"])).tolist()}
+        return {**tree, "leg": turned}
+
     def _contradictions(self) -> Iterator[str]:
         yield from self._wrong_approach()
         if self.duration < self.control.period:
@@ -130,10 +158,10 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
         """Say what in legs and zones goes together neither among them nor with the rest."""
         said = any(leg.until == "go" for leg in self.leg)
         for number, leg in enumerate(self.leg):
-            if leg.axes == "vvlh" and self.attitude.kind != "vvlh":
+            if leg.axes not in ("body", self.attitude.kind):
                 yield (
-                    f'leg.{number}.axes: "vvlh", and attitude.kind is "{self.attitude.kind}": the place would move '
-                    'over the target; give it in "body" axes'
+                    f'leg.{number}.axes: "{leg.axes}", and attitude.kind is "{self.attitude.kind}": the place would '
+                    'move over the target; give it in "body" axes'
                 )
             if leg.speed_limit is not None and leg.speed_limit > self.chaser.speed_limit:
                 limit = self.chaser.speed_limit
@@ -244,16 +272,23 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
             folder: that file names are relative to.
 
         """
-        changes: dict[str, dict[str, str]] = {}
+        changes: dict[str, Any] = {}
         for table, key in (("target", "source"), ("field", "source"), ("map", "file"), ("explore", "expected")):
             source = getattr(getattr(self, table), key)
             if source and Path(source).suffix and not Path(source).is_absolute():
                 changes[table] = {key: str((folder / source).resolve())}
+        if any(zone.file for zone in self.zone):
+            at = [{"file": str((folder / zone.file).resolve())} if zone.file else {} for zone in self.zone]
+            changes["zone"] = [zone.model_dump() | file for zone, file in zip(self.zone, at, strict=True)]
         return self.replace(**changes) if changes else self
 
 
 ScenarioLike = Scenario | str | Path | Mapping[str, Any]
 """What a scenario is taken from: itself, the path of its TOML file, or its tables as a dict."""
+
+
+def _axes_of(leg: Any) -> Any:
+    return leg.axes if isinstance(leg, task_entries.LegEntry) else leg.get("axes") if isinstance(leg, Mapping) else None
 
 
 def _refusal(error: ValidationError, where: str, lines: Mapping[Keys, int] = {}) -> ScenarioError:

@@ -24,6 +24,7 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "box": ("lower", "upper"),
     "cylinder": ("centre", "axis", "radius", "length"),
     "cone": ("centre", "axis", "half_angle", "length"),
+    "mesh": ("file",),
 }
 """What each shape of a zone is made of; `core/fields/zones.py` and `core/audit/zones.py` have shapes of these names."""
 
@@ -34,7 +35,7 @@ class LegEntry(Entry):
     Attributes:
         name: In tables, plots and refusals; unset: the number.
         position: Hold point, m.
-        axes: Of `position`: body, or vvlh, if the target stands still in it.
+        axes: Of `position`: body, or vvlh or inertial (ECI), whichever the target stands still in.
         tolerance: The chaser is there while it is closer than this, m.
         dwell: How long it stays there without a break, s.
         until: "go": it flies on only at this word, on board the caller's, in simulation at `go_at`.
@@ -46,7 +47,7 @@ class LegEntry(Entry):
 
     name: Name | None = None
     position: Vector
-    axes: Literal["body", "vvlh"] = "body"
+    axes: Literal["body", "vvlh", "inertial"] = "body"
     tolerance: Positive = 0.5
     dwell: NonNegative = 0.0
     until: Literal["go"] | None = None
@@ -66,7 +67,8 @@ class ZoneEntry(Entry):
 
     Attributes:
         name: In tables, plots and refusals; unset: the number.
-        shape: Cylinder and cone go from `centre` along `axis`; a cone ends in a sphere's part.
+        shape: Cylinder and cone go from `centre` along `axis`; a cone ends in a sphere's part; of a mesh the convex
+            hull of each part counts.
         centre: Of a sphere, ellipsoid, cylinder's first face, or the apex of a cone, m.
         radius: Of a sphere or cylinder, m.
         semi_axes: Of an ellipsoid, m.
@@ -74,6 +76,8 @@ class ZoneEntry(Entry):
         axis: Of a cylinder or cone, any length.
         half_angle: From a cone's axis to its side, rad.
         length: Of a cylinder or cone, m.
+        file: Of a mesh, by its path from the scenario's folder.
+        units: Of that mesh; unset: as its file says.
         axes: Of these numbers, about the body frame's origin: body, vvlh, or inertial (ECI).
         start: From when the zone stands, s.
         until: Until when it stands, s, or "go", said to the first leg that waits for it; unset: for ever.
@@ -81,7 +85,7 @@ class ZoneEntry(Entry):
     """
 
     name: Name | None = None
-    shape: Literal["sphere", "ellipsoid", "box", "cylinder", "cone"]
+    shape: Literal["sphere", "ellipsoid", "box", "cylinder", "cone", "mesh"]
     centre: Vector | None = None
     radius: Positive | None = None
     semi_axes: tuple[Positive, Positive, Positive] | None = None
@@ -90,6 +94,8 @@ class ZoneEntry(Entry):
     axis: Vector | None = None
     half_angle: HalfAngle | None = None
     length: Positive | None = None
+    file: str | None = None
+    units: Literal["m", "cm", "mm", "in", "ft"] | None = None
     axes: Literal["body", "vvlh", "inertial"] = "body"
     start: NonNegative = 0.0
     until: Moment | None = None
@@ -100,6 +106,8 @@ class ZoneEntry(Entry):
         if set(given) != set(SHAPES[self.shape]):
             parts = ", ".join(SHAPES[self.shape])
             yield f'shape "{self.shape}" is made of {parts}, and has {", ".join(given) or "none"}'
+        if self.units is not None and self.file is None:
+            yield f'units "{self.units}": they are those of the file of a mesh, and there is none'
         if self.axis is not None and not any(self.axis):
             yield "axis [0, 0, 0] points nowhere"
         if self.lower is not None and self.upper is not None and any(a >= b for a, b in zip(self.lower, self.upper)):

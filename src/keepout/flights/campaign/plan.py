@@ -12,6 +12,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -358,6 +359,7 @@ class Plan:
             "chunk": self.chunk,
             "target_sha256": self.target_sha256,
             "field_sha256": self.field_sha256,
+            **({"zones_sha256": meshes} if (meshes := _zone_digests(self.scenario)) else {}),
             "versions": {"keepout": keepout.__version__, "jax": jax.__version__, "numpy": np.__version__},
         }
 
@@ -415,6 +417,11 @@ class Plan:
             target.sha256,
             model.sha256,
         )
+
+
+def _zone_digests(scenario: Scenario) -> list[str]:
+    """Digest the meshes of zones, of which the scenario has the names only."""
+    return [digest(Path(zone.file).read_bytes()) for zone in scenario.zone if zone.file is not None]
 
 
 def _of_a_run(scenario: Scenario) -> Scenario:

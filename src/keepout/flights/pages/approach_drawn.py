@@ -12,6 +12,7 @@ from scipy.linalg import null_space
 from scipy.spatial import ConvexHull
 
 from keepout.core.flight.record import FlightRecord
+from keepout.core.geometry.hulls import hulls_of
 from keepout.core.mission.approach import ends, unit
 from keepout.core.mission.flight import allowed_speed
 from keepout.core.mission.scenario import Scenario
@@ -115,6 +116,8 @@ def _outline(body: Mapping[str, Any]) -> Float[np.ndarray, "places 3"]:
         flat = np.stack([np.outer(across, np.cos(_ROUND)), np.outer(across, np.sin(_ROUND))], axis=-1)
         around = null_space(np.array([body["axis"]])).T
         return (flat @ around + along[:, None, None] * np.array(body["axis"])).reshape(-1, 3) + body["at"]
+    if "corners" in body:
+        return np.array(body["corners"]) + body["at"]
     if "size" in body:
         corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
         return corners * body["size"] + body["at"]
@@ -128,7 +131,8 @@ def told(scenario: Scenario, start: float) -> dict[str, Any]:
     """Give legs, zones and corridors as the replay's page holds them.
 
     A body is round about an `axis` from `at`, where it has a `profile` of [distance from the axis, distance along it];
-    else an ellipsoid or a box about `at`, of half these `semi_axes` or of this `size`. It is told in `axes`.
+    else an ellipsoid or a box about `at`, of half these `semi_axes` or of this `size`, or triangles, `faces` between
+    `corners`. It is told in `axes`.
 
     Args:
         scenario: of the flight.
@@ -155,6 +159,12 @@ def told(scenario: Scenario, start: float) -> dict[str, Any]:
 
 def _zone(zone: ZoneEntry) -> dict[str, Any]:
     """Give the form of a zone."""
+    if zone.file is not None:
+        parts = hulls_of(zone.file, zone.units)
+        begins = np.cumsum([0, *(len(hull.corners) for hull in parts)])[:-1]
+        faces = [hull.faces + begin for hull, begin in zip(parts, begins, strict=True)]
+        corners = np.concatenate([hull.corners for hull in parts]).round(4)
+        return {"at": [0.0, 0.0, 0.0], "corners": corners.tolist(), "faces": np.concatenate(faces).tolist()}
     if zone.lower is not None and zone.upper is not None:
         lower, upper = np.array(zone.lower), np.array(zone.upper)
         return {"at": (0.5 * (lower + upper)).tolist(), "size": (upper - lower).tolist()}

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -147,6 +148,7 @@ def _leg(leg: LegEntry, number: int) -> str:
 def _zone(zone: ZoneEntry, number: int) -> str:
     said = {"body": "fixed to the target", "vvlh": "fixed in VVLH", "inertial": "fixed to the stars"}
     form = f"{'an' if zone.shape == 'ellipsoid' else 'a'} {zone.shape}"
+    form += "" if zone.file is None else f" ({Path(zone.file).name})"
     form += f" of {zone.radius:g} m" if zone.shape == "sphere" else f" {zone.length:g} m long" if zone.length else ""
     since = f" from {zone.start:g} s" if zone.start else ""
     until = {None: "", "go": ' until "go"'}.get(zone.until, f" until {zone.until} s")
