@@ -94,6 +94,10 @@ REFUSED = [
     ),
     ({"zone": [{**SUN, "shape": "box"}]}, 'shape "box" is made of lower, upper, and has'),
     ({"goal": {"position": [5.0, 0.0, 0.0]}}, "leave goal out"),
+    (
+        {"leg": [{**LEGS[2], "drift_safe": True}], "zone": []},
+        r"leg\.0\.drift_safe: .* approach\.abort_time; it is unset",
+    ),
 ]
 
 
@@ -231,3 +235,29 @@ def test_drifts_from_a_flight_are_judged_leg_by_leg(flight):
     assert far["proved_free"] > 0
     assert capture["proved_free"] < capture["judged"]
     assert all(leg["pushed_proved_free"] <= leg["proved_free"] for leg in told)
+
+
+STOPPED = {"duration": 900.0, "zone": [], "corridor": [], "approach": {"abort_time": 300.0}}
+
+
+@pytest.mark.long
+def test_a_leg_is_flown_so_slowly_that_a_drift_from_it_is_safe():
+    """Straight towards a box at v, a drift of 300 s goes on for 300 v or so: there is room for that at 6 m."""
+    legs = [{"name": "towards", "position": [6.0, 0.0, 0.0], "drift_safe": True}]
+    tree = {**TREE, **STOPPED, "leg": legs, "start": {"position": [12.0, 0.0, 0.0]}}
+    (leg,) = prepare(tree).scenario.leg
+    assert not leg.drift_safe
+    assert leg.speed_limit is not None
+    assert 0.003 < leg.speed_limit < 4.0 / 300.0
+    with pytest.raises(
+        KeepoutError, match=r'leg "towards": drift_safe, but at no speed down to 0\.00313 m/s .* for 90000 s'
+    ):
+        prepare({**tree, "approach": {"abort_time": 9e4}})
+
+
+@pytest.mark.slow  # two flights; drifts are proved in tests/apps/inspection/test_passive.py
+def test_drifts_from_a_leg_that_was_slowed_are_safe_as_flown():
+    legs = [LEGS[0], {**LEGS[1], "drift_safe": True}, LEGS[2]]
+    before, after = (keepout.fly({**TREE, **STOPPED, "leg": each}).summary()["drifts"][1] for each in (LEGS, legs))
+    assert before["proved_free"] < before["judged"]
+    assert after["proved_free"] == after["judged"] > before["judged"]

@@ -542,6 +542,31 @@ class Drifting:
         return passive_safety(scenario, self.distance, states, scenario.inspect.passive_safety, **asked).safe
 
 
+def drift_speed(
+    scenario: Scenario,
+    distance: Distance,
+    course: Course,
+    times: tuple[float, float],
+    *,
+    seconds: float,
+    limit: float,
+) -> tuple[float, float]:
+    """Give the greatest speed tried at which every drift from a course is safe, m/s, and the least that is tried.
+
+    Args:
+        scenario: as flown.
+        distance: exact and unsigned, to the target's mesh, m.
+        course: corners, m.
+        times: at which it begins and ends, s.
+        seconds: that a drift lasts.
+        limit: the greatest speed tried, m/s; 0 is given where none is safe.
+
+    """
+    asked = {"inspect": {"passive_safety": seconds}, "chaser": {"speed_limit": limit}, "leg": [], "zone": []}
+    drifting = Drifting(scenario.replace(**asked), distance)
+    return float(drifting.speeds([course], np.array([times]))[0]), drifting.slowest
+
+
 def _along(course: Course, begin: float, end: float) -> tuple[np.ndarray, ...]:
     """Give states along a course, each place of a piece half of `_APART` or less from one of the piece.
 

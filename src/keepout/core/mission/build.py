@@ -34,6 +34,7 @@ from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import SafetyLayer
 from keepout.core.guard.start import require_flyable
 from keepout.core.mission.approach import earliest, named, require_approach, zoned
+from keepout.core.mission.drift_safe import drift_safe, wants_drift_safety
 from keepout.core.mission.first_look import require_shipped
 from keepout.core.mission.flight import Flight, judged
 from keepout.core.mission.law import broken_as, law_on, law_or_way_out, room_for_guard
@@ -327,6 +328,10 @@ def prepare(
     except KeepOutZoneError as refusal:
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
+    if wants_drift_safety(scenario):
+        given = {"target": target, "model": model, "guidance": guidance, "guard_grid": guard_grid}
+        slowed = drift_safe(around, law, part_of(progress, 0.3, 0.6))
+        return prepare(slowed, **given, progress=part_of(progress, 0.6, 1.0))
     setup = around.setup(broken_as(scenario, law, model.field), field=model.field)
     if scenario.navigation.suite != "none":
         flown = load("navigation", "flown")(scenario, setup.motion, around.guard_assumptions)

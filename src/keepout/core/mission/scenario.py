@@ -166,6 +166,8 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
             if leg.speed_limit is not None and leg.speed_limit > self.chaser.speed_limit:
                 limit = self.chaser.speed_limit
                 yield f"leg.{number}.speed_limit: {leg.speed_limit} m/s is more than chaser.speed_limit, {limit} m/s"
+            if leg.drift_safe and self.approach.abort_time is None:
+                yield f"leg.{number}.drift_safe: for how long a drift must be safe is approach.abort_time; it is unset"
             if leg.within is not None and leg.within[0] >= self.duration:
                 yield f"leg.{number}.within: begins at {leg.within[0]} s, and the flight ends at {self.duration} s"
         if self.leg and self.leg[-1].until == "go":

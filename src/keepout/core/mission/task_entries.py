@@ -42,6 +42,8 @@ class LegEntry(Entry):
         go_at: When "go" is said in simulation, s; `until` needs it.
         speed_limit: On the way to this place, m/s; unset: chaser.speed_limit.
         within: [earliest, latest], s: not flown to before, and reached by then.
+        drift_safe: Fly it so slowly that from all of it a drift without thrust is proved clear for
+            approach.abort_time.
 
     """
 
@@ -54,6 +56,7 @@ class LegEntry(Entry):
     go_at: NonNegative | None = None
     speed_limit: Positive | None = None
     within: Window | None = None
+    drift_safe: bool = False
 
     def _contradictions(self) -> Iterator[str]:
         if (self.until is None) != (self.go_at is None):

@@ -32,6 +32,7 @@ from keepout.core.guard.guard import Guard
 from keepout.core.kept import digest
 from keepout.core.mission.approach import LegPlan
 from keepout.core.mission.build import Mission, closing_radius, load_model, load_target, prepare
+from keepout.core.mission.drift_safe import wants_drift_safety
 from keepout.core.mission.law import named_guidance
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import guard_numbers
@@ -392,15 +393,17 @@ class Plan:
             KeepoutError: what holds for every run is not valid, or none of the first runs can be flown.
 
         """
+        target = load_target(scenario.target) if target is None else target
+        model = load_model(scenario, target) if model is None else model
+        model.require_target(target, where="field")
+        if wants_drift_safety(scenario):  # once for all runs, on the way of the scenario's own start
+            scenario = prepare(scenario, target=target, model=model).scenario
         varied = design(scenario)
         if batch is not None and batch < 1:
             raise ScenarioError(f"batch: {batch} flights; it must be at least 1")
         runs = scenario.campaign.runs
         batch = batch or usual_batch(runs)
         workshop = Workshop()
-        target = load_target(scenario.target) if target is None else target
-        model = load_model(scenario, target) if model is None else model
-        model.require_target(target, where="field")
         workshop.keep(target, model, scenario)
         progress(0.1, "preparing")
         probed = draw(_of_a_run(scenario), varied, workshop.mission, 0, min(runs, _PROBED))

@@ -1,0 +1,105 @@
+"""Legs that are flown no faster than lets a chaser without thrust drift past the target, wherever its thrust stops."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from keepout.core.control.controller import Controller
+from keepout.core.control.guidance import Guidance
+from keepout.core.control.legs import LegGuidance
+from keepout.core.errors import ControlError, ScenarioError
+from keepout.core.mission.approach import named, released
+from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
+from keepout.core.motion.arrays import Vector, norm
+from keepout.core.plug_ins import load
+from keepout.core.progress import Progress, silent
+
+_STEP = 0.1
+"""Metres from one corner of a course to the next."""
+_DETOUR = 4.0
+"""A course is followed for so many times the straight way, and `_MORE` m."""
+_MORE = 20.0
+
+
+def wants_drift_safety(scenario: Scenario) -> bool:
+    """Whether any leg is to be flown no faster than a drift from it is safe."""
+    return any(leg.drift_safe for leg in scenario.leg)
+
+
+def drift_safe(around: Surroundings, law: Controller, progress: Progress = silent) -> Scenario:
+    """Give a scenario whose legs that ask for it have the greatest safe speed among those tried as their limit.
+
+    Safe is a speed at which, from all along the leg's course, the drift without thrust or push is proved to touch
+    nothing for `approach.abort_time`. The course is the one that the guidance leads along; what is flown wanders from
+    it, and is judged after the flight (`drifts` of its summary). No leg asks for it any more.
+
+    Args:
+        around: the scenario's surroundings, with its target.
+        law: of the scenario.
+        progress: called leg by leg.
+
+    Raises:
+        ScenarioError: at none of the speeds tried is every drift from a leg safe.
+
+    """
+    scenario, guidance = around.scenario, law.velocity.guidance
+    assert around.target is not None
+    if not isinstance(guidance, LegGuidance):
+        raise ScenarioError("leg: drift_safe is for a law with guidance of legs")
+    place, time, legs = np.asarray(scenario.start.position, dtype=float), 0.0, []
+    for number, (leg, release) in enumerate(zip(scenario.leg, released(scenario), strict=True)):
+        progress(number / len(scenario.leg), named("leg", leg, number))
+        limit, goal, told = leg.speed_limit or scenario.chaser.speed_limit, np.asarray(leg.position, dtype=float), {}
+        if leg.drift_safe:
+            way = dataclasses.replace(guidance, leg=jnp.asarray(number, guidance.leg.dtype)).way
+            course = course_of(way, place, goal)
+            length = float(np.linalg.norm(np.diff(course, axis=0), axis=1).sum())
+            asked: dict[str, Any] = {"seconds": scenario.approach.abort_time, "limit": limit}
+            speed, slowest = load("flight", "drift_speed")(
+                scenario, around.target.distance.distance, course, (time, time + length / limit), **asked
+            )
+            if not speed:
+                raise ScenarioError(
+                    f"{named('leg', leg, number)}: drift_safe, but at no speed down to {slowest:.3g} m/s every drift "
+                    f"from it is proved clear for {scenario.approach.abort_time:g} s; make approach.abort_time "
+                    "shorter, or leave the leg to the retreat"
+                )
+            limit, told = speed, {"speed_limit": speed, "drift_safe": False}
+        time = max(time + float(np.linalg.norm(goal - place)) / limit + leg.dwell, release)
+        legs.append(leg.model_dump() | told)
+        place = goal
+    return scenario.replace(leg=legs)
+
+
+def course_of(way: Guidance, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "_ 3"]:
+    """Follow a guidance from a place to its goal; the corners of its course, m.
+
+    Raises:
+        ControlError: it does not lead there.
+
+    """
+    steps = int(np.ceil((_DETOUR * float(np.linalg.norm(goal - start)) + _MORE) / _STEP))
+    places, arrived = _followed(way, jnp.asarray(start), jnp.asarray(goal), steps)
+    if not bool(arrived[-1]):
+        raise ControlError(f"no course leads from {start.tolist()} m to {goal.tolist()} m")
+    return np.concatenate([start[None], np.asarray(places)[~np.asarray(arrived)], goal[None]])
+
+
+@eqx.filter_jit
+def _followed(
+    way: Guidance, start: Vector, goal: Vector, steps: int
+) -> tuple[Float[Array, "steps 3"], Bool[Array, "steps"]]:
+    def step(place: Vector, _: None) -> tuple[Vector, tuple[Vector, Array]]:
+        wanted = way.desired_velocity(place)
+        after = place + _STEP * wanted / jnp.maximum(norm(wanted), 1e-12)
+        there = norm(place - goal) <= 1.5 * _STEP
+        after = jnp.where(there, place, after)
+        return after, (after, norm(after - goal) <= 1.5 * _STEP)
+
+    return jax.lax.scan(step, start, length=steps)[1]
