@@ -56,6 +56,7 @@ SEED_COLUMNS = (
     ("target", "{}"),
     ("profile", "{}"),
     ("seed", "{}"),
+    ("device", "{}"),
     ("error_bound_half_metre_m", "{:+.4f}"),
     ("margin_mean_m", "{:.4f}"),
     ("margin_p95_m", "{:.4f}"),
@@ -165,7 +166,7 @@ def seed_row(
     if path.exists():
         model = FieldModel.load(path, target=target)
     else:
-        before = sgemm_rate()
+        before = sgemm_rate()  # of the processor: of a fit on a GPU its ratio is no measure
         how = {"profile": profile, "seed": seed, "chaser_radius": radius, "first": first}
         model = fit(target, **how, progress=on_one_line)
         sgemm = 0.5 * (before + sgemm_rate())
@@ -175,11 +176,13 @@ def seed_row(
     certificate = model.certificate(radius)
     bound, seconds = certificate.error_bound, model.training["seconds"]
     over = over_statement(model.field, solid, level=radius)
+    measured = sgemm is not None and model.training["device"] == "cpu"  # else the processor's rate says nothing
     near = distance_errors(model.field, solid, nearest=0.05, farthest=1.0)
     return {
         "target": label,
         "profile": profile,
         "seed": seed,
+        "device": model.training["device"],
         "error_bound_half_metre_m": bound,
         "margin_mean_m": float((bound - over).mean()),
         "margin_p95_m": float(np.quantile(bound - over, 0.95)),
@@ -188,7 +191,7 @@ def seed_row(
         **{f"{part}_s": spent for part, spent in model.training["seconds_of"].items()},
         "certify_s": certificate.seconds,
         "all_s": seconds + certificate.seconds,
-        "fit_over_sgemm": None if sgemm is None else seconds / (product_flops(model) / sgemm),
+        "fit_over_sgemm": seconds * sgemm / product_flops(model) if measured else None,
     }
 
 

@@ -6,7 +6,7 @@ The paper names 50,000 points and no batch, and no start of the weights; the met
 distance to a ball (Atzmon, Lipman 2020). Each row is one fit of one target by the paper's loss, rate and number of
 halvings. Rows made before are read, and a fit that was stopped goes on. With the paper's own network a step of all
 points takes half a minute on two cores, so that the defaults are a smaller one. On a GPU `--products tf32` multiplies
-with 10 bits of the fraction while training, as no CPU does; every error is measured in full precision.
+with 10 bits of the fraction while training, as no CPU does; errors on the surface are measured in full precision.
 """
 
 import contextlib

@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from field_sections import fits, guard_fields, motion, slopes, theorems
+from field_sections import fits, fits_by_seed, guard_fields, motion, slopes, theorems
 from flight_code_sections import flight_code
 from inspection_sections import full_covers, inspecting, public_inspection
 from paper_sections import errata, reproduction, training
@@ -556,6 +556,7 @@ SECTIONS = (
     startup,
     learning,
     fits,
+    fits_by_seed,
     slopes,
     guard_fields,
     theorems,

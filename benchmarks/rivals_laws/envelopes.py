@@ -5,7 +5,7 @@ section I). Each envelope encloses every vertex, and is a field in closed form u
 its gains and straight guidance: what differs from Keepout is the shape and the way to the goal, nothing else. The
 field's error bound is zero, as the envelope holds the whole target. Its radius, margin and nominal offset are the
 default law's. A start or goal in the envelope is refused: it holds every concave place. The slope of α at the
-envelope, the one number that is not bound by thrusters and period, is the best of `choices`.
+envelope is the default law's too: `choices` show that it decides neither contacts nor arrivals.
 """
 
 import dataclasses

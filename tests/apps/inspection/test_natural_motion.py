@@ -190,8 +190,9 @@ def test_half_an_orbit_round_a_box_sees_part_of_it_without_contact():
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("few")
-def test_hold_points_fast_ellipses_and_stand_offs_that_nothing_keeps_are_refused():
+def test_hold_points_fast_ellipses_and_stand_offs_that_nothing_keeps_are_refused(monkeypatch):
+    monkeypatch.setattr(circumnavigation, "TILTS", circumnavigation.TILTS[:1])
+    monkeypatch.setattr(circumnavigation, "_SIZES", 2)
     case, problem = Scenario.model_validate(LOW), problem_of(Scenario.model_validate(CIRCLED))
     held = case.replace(inspect={"hold_points": [{"position": [0.0, -6.0, 0.0]}]})
     slow = problem.scenario.replace(chaser={"speed_limit": 1e-3})

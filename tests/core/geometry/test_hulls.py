@@ -2,18 +2,19 @@
 
 import igl
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from keepout.core.audit import zones as judged
-from keepout.core.errors import KeepoutError, MeshError
+from keepout.core.errors import KeepoutError
 from keepout.core.fields import zones
 from keepout.core.geometry.hulls import hulls_of
-from keepout.core.mission.approach import zone_shape
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.task_entries import ZoneEntry
+from keepout.core.mission.zones import with_digests, zone_shape
 
 TURN = Rotation.from_euler("xyz", [0.3, -0.5, 0.9]).as_matrix()
 SIZE, AT = np.array([3.0, 1.0, 0.5]), np.array([1.0, 2.0, -1.0])
@@ -33,7 +34,7 @@ def two_parts(tmp_path):
 
 
 def test_of_each_part_its_hull_counts(two_parts):
-    parts = hulls_of(two_parts, "cm")
+    parts = hulls_of(two_parts, "cm").parts
     assert len(parts) == 2
     shape = zone_shape(ZoneEntry(shape="mesh", file=two_parts, units="cm"))
     distance = judged.mesh([(hull.corners, hull.faces) for hull in parts])
@@ -65,23 +66,42 @@ def test_a_sheet_counts_as_thin(tmp_path):
     path = tmp_path / "sheet.off"
     path.write_text("OFF\n4 2 0\n0 0 0\n2 0 0\n2 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n")
     shape = zone_shape(ZoneEntry(shape="mesh", file=str(path)))
-    assert float(shape.distance(np.array([1.0, 0.5, 0.0]))) < 0.0
-    assert float(shape.distance(np.array([1.0, 0.5, 0.0011]))) > 0.0
+    assert float(shape.distance(jnp.array([1.0, 0.5, 0.0]))) < 0.0
+    assert float(shape.distance(jnp.array([1.0, 0.5, 0.0011]))) > 0.0
     assert isinstance(shape, zones.Mesh)
+    # Turned, and written in single precision: not flat to the last digit.
+    turned = tmp_path / "turned.stl"
+    sheet = trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    sheet.apply_transform(np.block([[TURN, AT[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]]))
+    sheet.export(turned)
+    shape = zone_shape(ZoneEntry(shape="mesh", file=str(turned)))
+    beside = jnp.asarray(TURN @ [50.0, 0.5, 0.0] + AT)
+    assert 40.0 < float(shape.distance(beside)) < 48.0
 
 
 def test_what_cannot_be_a_zone_is_refused(tmp_path):
     path = tmp_path / "round.stl"
     trimesh.creation.icosphere(subdivisions=4).export(path)
-    with pytest.raises(MeshError, match=r"round\.stl: 1 parts, .* 5120 together, and at most 4096 are flown"):
-        hulls_of(str(path), "m")
-    with pytest.raises(MeshError, match=r"nothere\.stl"):
-        hulls_of(str(tmp_path / "nothere.stl"), None)
+    for file, said in (("nothere.stl", "cannot be read"), ("round.stl", "5120 together, and at most 4096 are flown")):
+        scenario = Scenario.of({"zone": [{"name": "arm", "shape": "mesh", "file": str(tmp_path / file)}]})
+        with pytest.raises(KeepoutError, match=rf'zone "arm": file .*{file}: .*{said}'):
+            with_digests(scenario)
     for zone, said in (
         ({"shape": "mesh"}, 'shape "mesh" is made of file, and has none'),
-        ({"shape": "sphere", "centre": [0, 0, 0], "radius": 1, "units": "m"}, 'units "m": they are those of the file'),
+        (
+            {"shape": "sphere", "centre": [0, 0, 0], "radius": 1, "units": "m"},
+            'units "m": of the file of a mesh, and there is none',
+        ),
     ):
         with pytest.raises(KeepoutError, match=said):
             Scenario.of({"zone": [zone]})
     (tmp_path / "mission.toml").write_text('[[zone]]\nshape = "mesh"\nfile = "round.stl"\n')
     assert Scenario.load(tmp_path / "mission.toml").zone[0].file == str(path)
+
+
+def test_a_mesh_that_has_changed_since_it_was_flown_is_refused(two_parts):
+    scenario = with_digests(Scenario.of({"zone": [{"shape": "mesh", "file": two_parts, "units": "cm"}]}))
+    assert with_digests(scenario) is scenario
+    trimesh.creation.box(SIZE).export(two_parts)
+    with pytest.raises(KeepoutError, match=r"zone 0: file .*beam\.stl: not the mesh that was flown"):
+        with_digests(scenario)

@@ -72,6 +72,19 @@ def test_steps_of_two_meshes_are_one_program_and_count_each_kind_in_its_true_sha
 
 
 @pytest.mark.long
+def test_a_step_of_all_points_takes_each_as_it_is():
+    profile = dataclasses.replace(PROFILE, samples=80, batch=80, width=8, depth=1)
+    whole = labelled(80, 0.57)
+    parts = losses.Parted.by(profile, whole)
+    state = training._initial(profile, whole, 0, 0)
+    given = (state, parts, jnp.float32(SCALE), jax.random.key(0), np.zeros(1, np.float32))
+    _, _, value_mean, slope_mean = training._train_round(profile, 0, int(parts.sloped), *given)
+    value_term, slope_term = losses.terms(state.layers, profile, SCALE, whole, 80)
+    assert float(value_mean) == pytest.approx(float(value_term.mean()), rel=1e-5)
+    assert float(slope_mean) == pytest.approx(float(slope_term.mean()), rel=1e-5)
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["paper", "paper_printed"])
 def test_the_papers_eikonal_term_is_asked_of_every_point(name):
     parts = losses.Parted.by(PROFILES[name], labelled(50, 0.3))

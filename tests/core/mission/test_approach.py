@@ -14,7 +14,7 @@ from truths.boxes import LEARNED
 import keepout
 from keepout.core.audit.tube import Contact
 from keepout.core.errors import KeepoutError
-from keepout.core.mission import approach
+from keepout.core.mission import approach, zones
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
@@ -157,13 +157,16 @@ def test_a_wall_round_the_way_is_refused_by_the_leg_that_it_closes():
 
 def test_a_leg_in_inertial_axes_is_where_it_is_as_the_flight_begins():
     orbit = {"semi_major_axis": 7e6, "inclination": 0.7, "true_anomaly": 1.0, "eccentricity": 0.05}
-    given = [{"position": [3.0, -6.0, 2.0], "axes": "inertial"}, {"position": [1.0, 8.0, 2.0], "tolerance": 0.3}]
+    given = [{"position": [3.0, -6.0, 2.0]}, {"position": [1.0, 8.0, 2.0], "axes": "inertial", "tolerance": 0.3}]
     scenario = Scenario.of({"leg": given, "attitude": {"kind": "inertial"}, "orbit": orbit})
-    assert scenario.goal.position == (1.0, 8.0, 2.0)
-    axes = approach._followed(Surroundings(scenario).motion, "inertial", jnp.float64(1.0), 1)[0]
-    np.testing.assert_allclose(axes @ np.array(scenario.leg[0].position), given[0]["position"], atol=1e-12)
-    assert scenario.replace(seed=3).leg == scenario.leg
-    with pytest.raises(KeepoutError, match=r'leg\.0\.axes: "inertial", and attitude\.kind is "vvlh"'):
+    for flown in (scenario, scenario.replace(orbit={"inclination": 1.2})):
+        last = approach.as_flown(flown)
+        axes = zones._followed(Surroundings(flown).motion, "inertial", jnp.float64(1.0), 1)[0]
+        np.testing.assert_allclose(axes @ np.array(last.leg[1].position), given[1]["position"], atol=1e-12)
+        assert last.leg[0] == flown.leg[0]
+        assert (last.goal.position, last.goal.tolerance) == (last.leg[1].position, 0.3)
+        assert approach.as_flown(last) is last
+    with pytest.raises(KeepoutError, match=r'leg\.1\.axes: "inertial", and attitude\.kind is "vvlh"'):
         Scenario.of({"leg": given, "orbit": orbit})
 
 

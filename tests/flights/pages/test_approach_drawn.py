@@ -13,9 +13,9 @@ from truths.command_line import keepout_command
 from truths.passing import SPEED, START, STEPS, box_scenario, pass_record
 from truths.replay_page import ReplayPage
 
-from keepout.core.mission.approach import regions
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
+from keepout.core.mission.zones import regions
 from keepout.flights.pages.approach_drawn import paint_bodies, told
 from keepout.flights.pages.flight_page import draw_error, draw_motion
 from keepout.flights.pages.replay_page import write_replay

@@ -26,11 +26,11 @@ from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.control.law import Command, Law, LawOfAnother
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import Faults
-from keepout.core.mission.approach import named
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.task_entries import HoldPointEntry
+from keepout.core.mission.zones import named
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.relative import MotionState

@@ -56,8 +56,6 @@ _SPEEDS = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125, 0.09375, 0.0625, 0.046875
 """Shares of the speed limit at which a leg is judged."""
 _APART = 0.2
 """Metres from one judged state of a piece to the next, at most."""
-_CHANGING = 1.5
-"""Metres from either end of a leg within which it may be flown more slowly than on the rest."""
 
 
 def coast_matrix(mean_motion: float, seconds: float | Float[np.ndarray, "*times"]) -> Float[np.ndarray, "*times 6 6"]:
@@ -482,11 +480,13 @@ class Drifting:
     Attributes:
         scenario: as flown; `inspect.passive_safety` is how long a drift lasts.
         distance: exact and unsigned, to the target's mesh, m.
+        changing: metres from either end of a leg within which it may be flown more slowly than on the rest.
 
     """
 
     scenario: Scenario
     distance: Distance
+    changing: float = 1.5
 
     @classmethod
     def of(cls, scenario: Scenario, distance: Distance) -> "Drifting | None":
@@ -517,7 +517,7 @@ class Drifting:
         along = [_along(course, *when) for course, when in zip(courses, times.tolist(), strict=True)]
         which = np.repeat(np.arange(len(along)), [len(one[0]) for one in along])
         place, ahead, at, gone, left = (np.concatenate(part) for part in zip(*along, strict=True))
-        changing = np.minimum(gone, left) <= _CHANGING
+        changing = np.minimum(gone, left) <= self.changing
 
         def safe(states: Bool[np.ndarray, " n"], speed: float) -> Bool[np.ndarray, " legs"]:
             answer = np.ones(len(courses), dtype=bool)
@@ -551,7 +551,10 @@ def drift_speed(
     seconds: float,
     limit: float,
 ) -> tuple[float, float]:
-    """Give the greatest speed tried at which every drift from a course is safe, m/s, and the least that is tried.
+    """Give the greatest speed up to which every drift from a course is safe, m/s, and the least that is tried.
+
+    Safe is each speed tried up to that, all along the course: a law that slows down for a rule of speeds, or early
+    before a place, flies at any of them.
 
     Args:
         scenario: as flown.
@@ -563,7 +566,7 @@ def drift_speed(
 
     """
     asked = {"inspect": {"passive_safety": seconds}, "chaser": {"speed_limit": limit}, "leg": [], "zone": []}
-    drifting = Drifting(scenario.replace(**asked), distance)
+    drifting = Drifting(scenario.replace(**asked), distance, changing=math.inf)
     return float(drifting.speeds([course], np.array([times]))[0]), drifting.slowest
 
 

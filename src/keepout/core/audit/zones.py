@@ -89,7 +89,7 @@ def cone(centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], half_angl
 
 
 def mesh(
-    bodies: Sequence[tuple[Float[np.ndarray, "corners 3"], Int[np.ndarray, "faces 3"]]],
+    bodies: Sequence[tuple[Float[np.ndarray, "_ 3"], Int[np.ndarray, "_ 3"]]],
 ) -> Signed:
     """Give the distance, m, to convex bodies by their corners and triangles; inside of one it says 0."""
     within = [scipy.spatial.Delaunay(corners) for corners, _ in bodies]

@@ -2,7 +2,7 @@
 
 A zone's distance is exact, or says less; either way it is 1-Lipschitz. A zone that turns against the body frame, or
 stands for a while only, counts from now until it ends, wherever it will be: so a field with zones says, as time goes
-on, nowhere less than before, and what was found free stays free. docs/approach.md has the proof.
+on, nowhere less than before, and what was found free stays free. docs/guard.md, section 9, has the proof.
 """
 
 import abc

@@ -10,11 +10,12 @@ from jaxtyping import Float, Int
 
 from keepout.core.errors import MeshError
 from keepout.core.geometry.target import part_labels, read_surface, weld
+from keepout.core.kept import digest
 
 MOST_PLANES = 4096
 """Of all parts together, each counted as if it had as many as the one with the most."""
-_HALF_SHEET = 1e-3
-"""Metres by which a flat part is made thicker to every side, so that it has a hull."""
+HALF_SHEET = 1e-3
+"""Metres by which a flat part is made thicker to every side."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +36,23 @@ class Hull:
     offsets: Float[np.ndarray, "planes"]
 
 
-@functools.lru_cache(maxsize=16)
-def hulls_of(file: str, units: str | None) -> tuple[Hull, ...]:
+@dataclass(frozen=True, eq=False)
+class Hulls:
+    """The parts of a mesh, and its file's digest."""
+
+    parts: tuple[Hull, ...]
+    sha256: str
+
+    @property
+    def planes(self) -> int:
+        """Of all parts together, each counted as if it had as many as the one with the most."""
+        return len(self.parts) * max(len(hull.offsets) for hull in self.parts)
+
+
+def hulls_of(file: str, units: str | None) -> Hulls:
     """Give the convex hull of each part of a mesh file, of triangles that hang together.
 
-    A part that is flat counts as 2 mm thick.
+    A part that is flatter than 2 mm is made 2 mm thicker.
 
     Args:
         file: of the mesh; a point cloud is none.
@@ -49,25 +62,35 @@ def hulls_of(file: str, units: str | None) -> tuple[Hull, ...]:
         MeshError: the file cannot be read, or there are too many planes.
 
     """
+    try:
+        found = digest(Path(file).read_bytes())
+    except OSError as error:
+        raise MeshError(f"cannot be read ({error.strerror})") from None
+    return _hulls(file, units, found)
+
+
+@functools.lru_cache(maxsize=16)
+def _hulls(file: str, units: str | None, sha256: str) -> Hulls:
     surface = read_surface(Path(file), units=units, scale=None, drop_stray=False, thickness=None)
     part = part_labels(weld(surface.vertices, surface.faces))
     parts = tuple(_hull(surface.vertices[np.unique(surface.faces[part == k])]) for k in range(int(part.max()) + 1))
-    planes = len(parts) * max(len(hull.offsets) for hull in parts)
-    if planes > MOST_PLANES:
+    found = Hulls(parts, sha256)
+    if found.planes > MOST_PLANES:
         raise MeshError(
-            f"{Path(file).name}: {len(parts)} parts, whose hulls have up to {planes // len(parts)} planes: {planes} "
-            f"together, and at most {MOST_PLANES} are flown; give a simpler mesh"
+            f"{len(parts)} parts, whose hulls have up to {found.planes // len(parts)} planes: {found.planes} together, "
+            f"and at most {MOST_PLANES} are flown; give a simpler mesh"
         )
-    return parts
+    return found
 
 
 def _hull(points: Float[np.ndarray, "n 3"]) -> Hull:
-    try:
-        found = scipy.spatial.ConvexHull(points)
-    except scipy.spatial.QhullError:
-        about = _HALF_SHEET * np.array(np.meshgrid(*3 * [(-1.0, 1.0)])).reshape(3, -1).T
+    # Rounding makes a thin hull of a sheet that is turned, whose planes would go on far beside it.
+    spread = points - points.mean(axis=0)
+    across = np.ptp(spread @ np.linalg.svd(spread, full_matrices=False)[2][-1])
+    if len(points) < 4 or across < 2.0 * HALF_SHEET:
+        about = HALF_SHEET * np.array(np.meshgrid(*3 * [(-1.0, 1.0)])).reshape(3, -1).T
         points = (points[:, None] + about).reshape(-1, 3)
-        found = scipy.spatial.ConvexHull(points)
+    found = scipy.spatial.ConvexHull(points)
     # Triangles of one plane have its equation to the last digits or so; one of them is enough.
     _, first = np.unique(found.equations.round(9), axis=0, return_index=True)
     normals, offsets = found.equations[first, :3], -found.equations[first, 3]

@@ -241,7 +241,9 @@ class _Course:
         rates = learning_rates(numbers, block)
         batch = min(numbers.batch, int(self.examples.known))
         hard = round(HARD_SHARE * batch) if phase_of(numbers, block) > 0 else 0
-        sloped = self.examples.rows(batch - hard)
+        # Of all points none is drawn, and each is as it is.
+        drawn = hard or batch < int(self.examples.known)
+        sloped = self.examples.rows(batch - hard) if drawn else int(self.examples.sloped)
         terms, layers, optimizer = [], state.layers, state.optimizer
         for n in range(0, len(rates), ROUND):
             state = state._replace(layers=layers, optimizer=optimizer)

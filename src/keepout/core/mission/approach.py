@@ -1,4 +1,4 @@
-"""What a scenario's legs, zones, corridors and approach rules become: a field with zones in it, and a law of legs.
+"""What a scenario's legs and approach rules become: a law of legs; and what of them, zones and corridors is refused.
 
 The first leg with `until = "go"` says when zones fall that stand until "go". Earliest times follow from what is said of
 each leg; a zone that has ended by the earliest time at which a leg can begin is no wall for it.
@@ -7,18 +7,14 @@ each leg; a zone that has ended by the earliest time at which a leg can begin is
 import dataclasses
 import itertools
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from keepout.core.audit import zones as judged
-from keepout.core.audit.zones import Region
 from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.controller import Controller
 from keepout.core.control.geodesic import Geodesic, GeodesicGuidance, one_behind_the_other
@@ -27,30 +23,23 @@ from keepout.core.control.law import Law
 from keepout.core.control.legs import LegGuidance, LegLaw, Legs, SpeedByDistance
 from keepout.core.errors import ControlError, KeepoutError, KeepOutZoneError, ScenarioError
 from keepout.core.fields import zones as shapes
-from keepout.core.fields.field import Field, in_pieces
-from keepout.core.fields.zones import ClearRoom, SweptCone, Zone, ZonedField
+from keepout.core.fields.field import Field
+from keepout.core.fields.zones import SweptCone, Zone
 from keepout.core.flight.setup import FlightSetup
-from keepout.core.geometry.distance import Distance
-from keepout.core.geometry.hulls import hulls_of
 from keepout.core.kept import digest
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.core.mission.task_entries import SHAPES, CorridorEntry, LegEntry, ZoneEntry
+from keepout.core.mission.zones import corridor_shape, named, require_clear, standing_zone, with_digests
 from keepout.core.motion import rotation
-from keepout.core.motion.arrays import Scalar, as_float64
-from keepout.core.motion.disturbance import NoDisturbance
-from keepout.core.motion.relative import MotionState, RelativeMotion
+from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, part_of, silent
 
-_TURN = math.radians(5.0)
-"""Between two rotations that stand for a turning zone, at most, unless that would pass `_MOST_MOMENTS`."""
-_MOST_MOMENTS = 256
 _LEAST_ROOM, _ROOM = 6.0, 0.25
 """About a leg's ends, within which its way is looked for at first: at least so much, m, and this share of the leg."""
 _PORT = 1.0
 """A corridor's port is nearer to the mesh than this, m."""
-_FINEST = 2e-3
-"""Metres: half the side of the smallest cubes by which room is proved clear."""
+_CLEAR: set[tuple[str, str, float]] = set()
+"""Corridors, meshes and distances, m, for which this process has proved the room clear."""
 
 
 def require_one_leg(scenario: Scenario, led_by: str) -> None:
@@ -75,14 +64,18 @@ def has_rules(scenario: Scenario) -> bool:
     return bool(scenario.leg or scenario.zone or scenario.corridor or scenario.approach.speed_by_distance)
 
 
-def named(kind: str, entry: LegEntry | ZoneEntry | CorridorEntry, number: int) -> str:
-    """Give what an entry of a list is called in refusals and tables, by its own name or its number from 0."""
-    return f"{kind} {number}" if entry.name is None else f'{kind} "{entry.name}"'
-
-
-def go_time(scenario: Scenario) -> float:
-    """Give the time, s, until which what stands until "go" stands: of the first such leg."""
-    return next((leg.go_at for leg in scenario.leg if leg.go_at is not None), math.inf)
+def as_flown(scenario: Scenario) -> Scenario:
+    """Give a scenario with its legs in body axes, and the digests of the meshes of its zones (`with_digests`)."""
+    scenario = with_digests(scenario)
+    if all(leg.axes != "inertial" for leg in scenario.leg):
+        return scenario
+    # The target stands still in these axes (else it is refused), and at the start body axes are those of VVLH.
+    axes = np.asarray(rotation.vvlh_axes(*Surroundings(scenario).motion.orbit.inertial_state(as_float64(0.0))))
+    legs = [leg.model_dump() for leg in scenario.leg]
+    for leg in legs:
+        if leg["axes"] == "inertial":
+            leg |= {"axes": "body", "position": (axes @ leg["position"]).tolist()}
+    return scenario.replace(leg=legs, goal={"position": legs[-1]["position"]})
 
 
 def released(scenario: Scenario) -> list[float]:
@@ -99,204 +92,6 @@ def earliest(scenario: Scenario) -> list[float]:
         times.append(time)
         time = max(time + leg.dwell, release)
     return times
-
-
-def ends(scenario: Scenario, zone: ZoneEntry) -> float:
-    """Give the time, s, at which a zone ends; infinite where it does not."""
-    if zone.until == "go":
-        return go_time(scenario)
-    return math.inf if zone.until is None else zone.until
-
-
-@dataclass(frozen=True)
-class Turning:
-    """How a zone's axes turn against the body frame while it stands.
-
-    Attributes:
-        rotations: zone's axes ← body axes, of some moments.
-        ends: until when each stands for the zone, s.
-        turned: the largest angle between the two, rad; 0 for axes at rest.
-
-    """
-
-    rotations: Float[np.ndarray, "moments 3 3"]
-    ends: Float[np.ndarray, "moments"]
-    turned: float
-
-
-def turning(around: Surroundings, zone: ZoneEntry) -> Turning:
-    """Follow a zone's axes from when it stands until it ends, or the flight does.
-
-    Raises:
-        ScenarioError: it turns so often while it stands that it is everywhere.
-
-    """
-    scenario, end = around.scenario, ends(around.scenario, zone)
-    if zone.axes == "body":
-        return Turning(np.eye(3)[None], np.array([end]), 0.0)
-    period, rate = scenario.control.period, around.turning_rate(zone.axes)
-    first = min(math.floor(zone.start / period), scenario.steps)
-    last = min(math.ceil(min(end, 2.0 * scenario.duration) / period), scenario.steps + 1)
-    if not rate:
-        first, last = 0, 1
-    angle = rate * (max(last - first, 1) + 1) * period
-    count = min(max(math.ceil(angle / _TURN), 1), _MOST_MOMENTS)
-    each = max(math.ceil((last - first) / count), 1)
-    turned = 0.5 * rate * (each + 1) * period
-    if turned > 0.2:
-        raise ScenarioError(
-            f"zone: axes {zone.axes!r} turn by {math.degrees(angle):.0f} degrees against the body while it stands; "
-            f"at most {math.degrees(0.4 * _MOST_MOMENTS):.0f} are followed. Give it start and until"
-        )
-    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps + 1))
-    stands = [*range(first, max(last, first + 1), each)]
-    middles = [min(step + each // 2, scenario.steps) for step in stands]
-    until = [(step + each) * period for step in stands[:-1]] + [end]
-    return Turning(rotations[middles], np.array(until), turned)
-
-
-@eqx.filter_jit
-def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> Float[Array, "steps 3 3"]:
-    """Give the axes ← body rotations at every control step, by the flight's own model of the target's turning."""
-
-    def here(state: MotionState) -> Float[Array, "3 3"]:
-        vvlh_from_body = rotation.matrix(state.attitude).T
-        if axes == "vvlh":
-            return vvlh_from_body
-        orbit = state.target_orbit
-        moved = motion.orbit.inertial_state(state.time) if orbit is None else (orbit[:3], orbit[3:])
-        return rotation.vvlh_axes(*moved).T @ vvlh_from_body
-
-    def step(state: MotionState, _: None) -> tuple[MotionState, Float[Array, "3 3"]]:
-        # Only what turns is followed; the chaser stays where it is.
-        after = motion.step(state, jnp.zeros(3), NoDisturbance(), period, 1.0)
-        held = eqx.tree_at(lambda s: (s.position, s.velocity), after, (state.position, state.velocity))
-        return held, here(state)
-
-    return jax.lax.scan(step, motion.initial_state(jnp.zeros(3), jnp.zeros(3)), length=steps)[1]
-
-
-def zone_shape(zone: ZoneEntry) -> shapes.Shape:
-    """Give the shape of a zone, in its own axes."""
-    if zone.file is not None:
-        parts = hulls_of(zone.file, zone.units)
-        most = max(len(hull.offsets) for hull in parts)
-        rows = [np.arange(most) % len(hull.offsets) for hull in parts]  # as many planes for each, some twice
-        numbers = [(hull.normals[row], hull.offsets[row]) for hull, row in zip(parts, rows, strict=True)]
-        return shapes.Mesh(*(np.stack(column) for column in zip(*numbers, strict=True)))
-    return getattr(shapes, zone.shape.capitalize())(**_parts(zone))
-
-
-def corridor_shape(corridor: CorridorEntry) -> shapes.Beside:
-    """Give the room beside a corridor, within its length of the port."""
-    shared: dict[str, Any] = {"port": corridor.port, "axis": unit(corridor.axis), "length": corridor.length}
-    if corridor.half_angle is not None:
-        behind = (corridor.radius or 0.0) / math.tan(corridor.half_angle)
-        apex = np.asarray(corridor.port) - behind * shared["axis"]
-        return shapes.BesideCone(**shared, apex=apex, half_angle=corridor.half_angle)
-    return shapes.BesideTube(**shared, radius=corridor.radius or 0.0)
-
-
-def regions(around: Surroundings) -> list[Region]:
-    """Give a scenario's zones and corridors as the audit judges them, with shapes of its own."""
-    scenario, found = around.scenario, []
-    for number, entry in enumerate(scenario.zone):
-        rotations = np.eye(3)[None]
-        if entry.axes != "body":
-            rotations = np.asarray(
-                _followed(around.motion, entry.axes, as_float64(scenario.control.period), scenario.steps + 1)
-            )
-        if entry.file is None:
-            distance = getattr(judged, entry.shape)(**_parts(entry))
-        else:
-            distance = judged.mesh([(hull.corners, hull.faces) for hull in hulls_of(entry.file, entry.units)])
-        found.append(
-            Region(
-                name=named("zone", entry, number),
-                distance=distance,
-                radius=scenario.chaser.radius,
-                rotations=rotations,
-                rate=around.turning_rate(entry.axes),
-                start=entry.start,
-                until=ends(scenario, entry),
-            )
-        )
-    for number, entry in enumerate(scenario.corridor):
-        walls = {"half_angle": entry.half_angle, "radius": entry.radius}
-        beside = judged.beside(np.asarray(entry.port), unit(entry.axis), entry.length, **walls)
-        found.append(Region(named("corridor", entry, number), beside, 0.0, np.eye(3)[None]))
-    return found
-
-
-def _parts(zone: ZoneEntry) -> dict[str, Any]:
-    """Give the numbers that a zone's shape is made of, as arrays where they are vectors, an axis at length 1."""
-    parts = {name: getattr(zone, name) for name in SHAPES[zone.shape]}
-    if "axis" in parts:
-        parts["axis"] = unit(parts["axis"])
-    return {name: np.asarray(part) if isinstance(part, tuple) else part for name, part in parts.items()}
-
-
-def unit(axis: Sequence[float]) -> Float[np.ndarray, "3"]:
-    """Give a vector at length 1."""
-    return np.asarray(axis) / np.linalg.norm(axis)
-
-
-def standing_zone(around: Surroundings, zone: ZoneEntry, shift: float) -> Zone | SweptCone:
-    """Give a zone as law and guard ask it, with a `shift` (m) added to its distance."""
-    swept = _swept(around, zone, shift)
-    if swept is not None:
-        return swept
-    way = turning(around, zone)
-    return Zone(zone_shape(zone), way.rotations, way.ends, way.turned, shift, by_word=zone.until == "go")
-
-
-def _swept(around: Surroundings, zone: ZoneEntry, shift: float) -> SweptCone | None:
-    """Give a cone that turns at the origin about the orbit's normal; None for any other zone.
-
-    The frame's turning about one axis is not assumed but found: the axis of the cone, followed from step to step, must
-    be where a turn about the normal puts it.
-    """
-    scenario = around.scenario
-    if zone.shape != "cone" or any(zone.centre or ()) or not around.turning_rate(zone.axes):
-        return None
-    period, last = scenario.control.period, ends(scenario, zone)
-    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps + 1))
-    axes = np.einsum("kij,i->kj", rotations, unit(zone.axis or ()))
-    about = np.array([0.0, 1.0 if zone.axes == "inertial" else -1.0, 0.0])
-    level = axes @ about
-    angles = np.unwrap(np.arctan2(axes @ np.cross(about, axes[0]), (axes - level[:, None] * about) @ axes[0]))
-    turned = level[:1, None] * about + np.outer(np.cos(angles), axes[0] - level[0] * about)
-    turned += np.outer(np.sin(angles), np.cross(about, axes[0]))
-    if np.abs(turned - axes).max() > 1e-9 or np.any(np.diff(angles) < 0.0):
-        return None
-    stood = angles[: min(scenario.steps, math.ceil(min(last, 2.0 * scenario.duration) / period)) + 1]
-    stood[: math.floor(zone.start / period)] = stood[min(math.floor(zone.start / period), len(stood) - 1)]
-    cone = shapes.Cone(np.zeros(3), axes[0], zone.half_angle, zone.length)  # pyright: ignore[reportArgumentType]
-    return SweptCone(cone, about, stood, period, last, shift, by_word=zone.until == "go")
-
-
-def zoned(around: Surroundings, field: Field, threshold: float) -> Field:
-    """Put a scenario's zones and corridors into a field, so that each is entered where the field is its threshold.
-
-    Of a zone that is when the chaser's ball touches it, of a corridor's wall when the chaser's centre does. In
-    room that a corridor declares clear the field counts as above its threshold: `require_clear` has proved it.
-
-    Args:
-        around: the scenario's surroundings.
-        field: a law's or a guard's.
-        threshold: the value of that field, m, at and below which the chaser may touch the mesh.
-
-    """
-    scenario = around.scenario
-    shift = threshold - scenario.chaser.radius
-    zones: list[Zone | SweptCone] = [standing_zone(around, entry, shift) for entry in scenario.zone]
-    zones += [Zone(corridor_shape(entry), np.eye(3)[None], [math.inf], 0.0, threshold) for entry in scenario.corridor]
-    clear = tuple(
-        ClearRoom(corridor_shape(entry), entry.clear_from, threshold)
-        for entry in scenario.corridor
-        if entry.clear_from is not None
-    )
-    return ZonedField(field, tuple(zones), clear) if zones else field
 
 
 @dataclass(frozen=True)
@@ -511,45 +306,11 @@ def require_approach(around: Surroundings) -> None:
                     f"{place_name}: {list(place)} m is {-away:.3g} m beyond the wall of {name}, and within its length"
                 )
         if target is not None and entry.clear_from is not None:
-            require_clear(wall, entry.clear_from, target.distance, radius + around.kept_margin, name)
-
-
-def require_clear(beside: shapes.Beside, clear_from: float, distance: Distance, needed: float, name: str) -> None:
-    """Prove that the room which a corridor declares clear is nowhere nearer to the mesh than it must be.
-
-    Cubes over the room are halved until each is outside of it, or has a centre so far from the mesh that all of it is
-    far enough: depth in the room and distance are 1-Lipschitz.
-
-    Args:
-        beside: of the corridor.
-        clear_from: where the room begins, m along the axis from the port.
-        distance: exact, to the mesh.
-        needed: how far from the mesh it must be, m.
-        name: of the corridor, in refusals.
-
-    Raises:
-        ScenarioError: it is not so, or by too little to be proved; with both distances and where.
-
-    """
-    depth = jax.jit(jax.vmap(lambda point: beside.depth(point, as_float64(clear_from))))
-    half, centres = float(beside.length), np.asarray(beside.port)[None]
-    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-    while len(centres):
-        reach, room = math.sqrt(3.0) * half, in_pieces(depth, centres)
-        centres, room = centres[room > -reach], room[room > -reach]
-        away = distance.distance(centres)
-        near = away - reach < needed
-        refuted = near & (away < needed) & (room > 0.0)
-        if refuted.any() or (half < _FINEST and near.any()):
-            worst = np.flatnonzero(refuted if refuted.any() else near)
-            worst = worst[np.argmin(away[worst])]
-            raise ScenarioError(
-                f"{name}: clear_from {clear_from:g} m, but the mesh is {away[worst]:.4g} m from "
-                f"{np.round(centres[worst], 3).tolist()} m, and it must be {needed:g} m and a few millimetres from all "
-                "that is declared clear; begin farther from the port, or make the corridor narrower"
-            )
-        centres = (centres[near][:, None] + 0.5 * half * corners).reshape(-1, 3)
-        half *= 0.5
+            needed = radius + around.kept_margin
+            proved = (entry.model_dump_json(), target.sha256, needed)
+            if proved not in _CLEAR:  # once for all flights of a process
+                require_clear(wall, entry.clear_from, target.distance, needed, name)
+                _CLEAR.add(proved)
 
 
 def _beyond(away: float) -> str:

@@ -33,7 +33,7 @@ from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import SafetyLayer
 from keepout.core.guard.start import require_flyable
-from keepout.core.mission.approach import earliest, named, require_approach, zoned
+from keepout.core.mission.approach import as_flown, earliest, require_approach
 from keepout.core.mission.drift_safe import drift_safe, wants_drift_safety
 from keepout.core.mission.first_look import require_shipped
 from keepout.core.mission.flight import Flight, judged
@@ -41,6 +41,7 @@ from keepout.core.mission.law import broken_as, law_on, law_or_way_out, room_for
 from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.mission.target import load_target, require_apart
+from keepout.core.mission.zones import named, zoned
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.chaser import Firing, ThrusterModel
 from keepout.core.motion.disturbance import Disturbance
@@ -314,7 +315,7 @@ def prepare(
 
     """
     keep_programs()
-    scenario = Scenario.of(scenario)
+    scenario = as_flown(Scenario.of(scenario))
     target = load_target(scenario.target) if target is None else target
     model = load_model(scenario, target) if model is None else model
     model.require_target(target, where="field")
@@ -330,8 +331,8 @@ def prepare(
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
     if wants_drift_safety(scenario):
         given = {"target": target, "model": model, "guidance": guidance, "guard_grid": guard_grid}
-        slowed = drift_safe(around, law, part_of(progress, 0.3, 0.6))
-        return prepare(slowed, **given, progress=part_of(progress, 0.6, 1.0))
+        slowed = drift_safe(around, law, part_of(progress, 0.6, 0.7))
+        return prepare(slowed, **given, progress=part_of(progress, 0.7, 1.0))
     setup = around.setup(broken_as(scenario, law, model.field), field=model.field)
     if scenario.navigation.suite != "none":
         flown = load("navigation", "flown")(scenario, setup.motion, around.guard_assumptions)

@@ -13,9 +13,10 @@ from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import Guidance
 from keepout.core.control.legs import LegGuidance
 from keepout.core.errors import ControlError, ScenarioError
-from keepout.core.mission.approach import named, released
+from keepout.core.mission.approach import released
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
+from keepout.core.mission.zones import named
 from keepout.core.motion.arrays import Vector, norm
 from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, silent
@@ -35,9 +36,10 @@ def wants_drift_safety(scenario: Scenario) -> bool:
 def drift_safe(around: Surroundings, law: Controller, progress: Progress = silent) -> Scenario:
     """Give a scenario whose legs that ask for it have the greatest safe speed among those tried as their limit.
 
-    Safe is a speed at which, from all along the leg's course, the drift without thrust or push is proved to touch
-    nothing for `approach.abort_time`. The course is the one that the guidance leads along; what is flown wanders from
-    it, and is judged after the flight (`drifts` of its summary). No leg asks for it any more.
+    Safe is a speed up to which, at all speeds tried and from all along the leg's course, the drift without thrust or
+    push is proved not to touch the mesh for `approach.abort_time`. The course is the one that the guidance leads along,
+    and a target that moves is where it would be if the leg were flown at its limit. What is flown wanders from both,
+    and is judged after the flight (`drifts` of its summary). Zones are not looked at. No leg asks for it any more.
 
     Args:
         around: the scenario's surroundings, with its target.
@@ -51,14 +53,15 @@ def drift_safe(around: Surroundings, law: Controller, progress: Progress = silen
     scenario, guidance = around.scenario, law.velocity.guidance
     assert around.target is not None
     if not isinstance(guidance, LegGuidance):
-        raise ScenarioError("leg: drift_safe is for a law with guidance of legs")
+        asking = [named("leg", leg, number) for number, leg in enumerate(scenario.leg) if leg.drift_safe]
+        raise ScenarioError(f"{', '.join(asking)}: drift_safe, and the guidance given has no legs")
     place, time, legs = np.asarray(scenario.start.position, dtype=float), 0.0, []
     for number, (leg, release) in enumerate(zip(scenario.leg, released(scenario), strict=True)):
         progress(number / len(scenario.leg), named("leg", leg, number))
         limit, goal, told = leg.speed_limit or scenario.chaser.speed_limit, np.asarray(leg.position, dtype=float), {}
         if leg.drift_safe:
             way = dataclasses.replace(guidance, leg=jnp.asarray(number, guidance.leg.dtype)).way
-            course = course_of(way, place, goal)
+            course = course_of(way, place, goal, named("leg", leg, number))
             length = float(np.linalg.norm(np.diff(course, axis=0), axis=1).sum())
             asked: dict[str, Any] = {"seconds": scenario.approach.abort_time, "limit": limit}
             speed, slowest = load("flight", "drift_speed")(
@@ -77,8 +80,10 @@ def drift_safe(around: Surroundings, law: Controller, progress: Progress = silen
     return scenario.replace(leg=legs)
 
 
-def course_of(way: Guidance, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "_ 3"]:
-    """Follow a guidance from a place to its goal; the corners of its course, m.
+def course_of(
+    way: Guidance, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"], name: str
+) -> Float[np.ndarray, "_ 3"]:
+    """Follow a guidance from a place to its goal; the corners of its course, m. `name` is the leg's, in refusals.
 
     Raises:
         ControlError: it does not lead there.
@@ -87,7 +92,7 @@ def course_of(way: Guidance, start: Float[np.ndarray, "3"], goal: Float[np.ndarr
     steps = int(np.ceil((_DETOUR * float(np.linalg.norm(goal - start)) + _MORE) / _STEP))
     places, arrived = _followed(way, jnp.asarray(start), jnp.asarray(goal), steps)
     if not bool(arrived[-1]):
-        raise ControlError(f"no course leads from {start.tolist()} m to {goal.tolist()} m")
+        raise ControlError(f"{name}: drift_safe, and no course leads from {start.tolist()} m to {goal.tolist()} m")
     return np.concatenate([start[None], np.asarray(places)[~np.asarray(arrived)], goal[None]])
 
 

@@ -25,9 +25,9 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
-from keepout.core.mission.approach import named, regions
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, guard_numbers
+from keepout.core.mission.zones import named, regions
 from keepout.core.motion.relative import MotionState
 from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, silent

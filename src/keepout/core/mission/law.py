@@ -17,9 +17,10 @@ from keepout.core.fields.field import Field, values
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.faults import BrokenLaw
 from keepout.core.guard.braking import design
-from keepout.core.mission.approach import LegPlan, has_rules, law_of_legs, require_braking, speed_rule, zoned
+from keepout.core.mission.approach import LegPlan, has_rules, law_of_legs, require_braking, speed_rule
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
+from keepout.core.mission.zones import zoned
 from keepout.core.progress import Progress, silent
 
 _CIRCULATIONS = {

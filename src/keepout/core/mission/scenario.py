@@ -102,34 +102,6 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
         tolerance = last.get("tolerance", task_entries.LegEntry.model_fields["tolerance"].default)
         return {**tree, "goal": {"position": last["position"], "tolerance": tolerance}}
 
-    @model_validator(mode="before")
-    @classmethod
-    def _inertial_legs_are_over_the_body(cls, tree: Any) -> Any:
-        """Turn the places of legs in inertial axes into body axes, where the target stands still in them."""
-        legs = tree.get("leg") if isinstance(tree, Mapping) else None
-        if not isinstance(legs, list | tuple) or "inertial" not in [_axes_of(leg) for leg in legs]:
-            return tree
-        try:
-            attitude = entries.AttitudeEntry.model_validate(tree.get("attitude", {}))
-            orbit = entries.OrbitEntry.model_validate(tree.get("orbit", {}))
-            found = [task_entries.LegEntry.model_validate(leg) for leg in legs]
-        except ValidationError:
-            return tree  # and what is wrong is said where it is
-        if attitude.kind != "inertial":
-            return tree
-        import jax.numpy as jnp
-
-        from keepout.core.motion.orbit import Orbit
-        from keepout.core.motion.rotation import vvlh_axes
-
-        # Body axes are those of VVLH at the start.
-        axes = vvlh_axes(*Orbit(**orbit.model_dump(exclude={"j2"})).inertial_state(jnp.asarray(0.0)))
-        turned = [leg.model_dump() for leg in found]
-        for leg in turned:
-            if leg["axes"] == "inertial":
-                leg |= {"axes": "body", "position": (axes @ jnp.asarray(leg["position"])).tolist()}
-        return {**tree, "leg": turned}
-
     def _contradictions(self) -> Iterator[str]:
         yield from self._wrong_approach()
         if self.duration < self.control.period:
@@ -287,10 +259,6 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
 
 ScenarioLike = Scenario | str | Path | Mapping[str, Any]
 """What a scenario is taken from: itself, the path of its TOML file, or its tables as a dict."""
-
-
-def _axes_of(leg: Any) -> Any:
-    return leg.axes if isinstance(leg, task_entries.LegEntry) else leg.get("axes") if isinstance(leg, Mapping) else None
 
 
 def _refusal(error: ValidationError, where: str, lines: Mapping[Keys, int] = {}) -> ScenarioError:

@@ -81,7 +81,8 @@ class ZoneEntry(Entry):
         length: Of a cylinder or cone, m.
         file: Of a mesh, by its path from the scenario's folder.
         units: Of that mesh; unset: as its file says.
-        axes: Of these numbers, about the body frame's origin: body, vvlh, or inertial (ECI).
+        sha256: Of that file as it was flown; another is refused.
+        axes: Of all numbers, those of the file too, about the body frame's origin: body, vvlh, or inertial (ECI).
         start: From when the zone stands, s.
         until: Until when it stands, s, or "go", said to the first leg that waits for it; unset: for ever.
 
@@ -99,6 +100,7 @@ class ZoneEntry(Entry):
     length: Positive | None = None
     file: str | None = None
     units: Literal["m", "cm", "mm", "in", "ft"] | None = None
+    sha256: str | None = None
     axes: Literal["body", "vvlh", "inertial"] = "body"
     start: NonNegative = 0.0
     until: Moment | None = None
@@ -109,8 +111,9 @@ class ZoneEntry(Entry):
         if set(given) != set(SHAPES[self.shape]):
             parts = ", ".join(SHAPES[self.shape])
             yield f'shape "{self.shape}" is made of {parts}, and has {", ".join(given) or "none"}'
-        if self.units is not None and self.file is None:
-            yield f'units "{self.units}": they are those of the file of a mesh, and there is none'
+        for name in ("units", "sha256"):
+            if getattr(self, name) is not None and self.file is None:
+                yield f'{name} "{getattr(self, name)}": of the file of a mesh, and there is none'
         if self.axis is not None and not any(self.axis):
             yield "axis [0, 0, 0] points nowhere"
         if self.lower is not None and self.upper is not None and any(a >= b for a, b in zip(self.lower, self.upper)):

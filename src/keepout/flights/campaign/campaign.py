@@ -297,8 +297,9 @@ def plan_campaign(
         plan = Plan.of(scenario, target=target, progress=progress)
         runs = tuple(plan.draw(0, plan.runs))
         again = sum(run.drawn_again for run in runs)
-        return CampaignPlan(scenario, plan.workshop.target(scenario), runs, plan.programs, again)
+        return CampaignPlan(plan.scenario, plan.workshop.target(scenario), runs, plan.programs, again)
     mission = prepare(scenario, target=target, model=model, progress=progress)
+    scenario = mission.scenario
     starts, again = draw_starts(scenario, mission.target)
     runs = tuple(
         Run(number, {"start.position": start.tolist()}, start, np.zeros(3), 0, mission)

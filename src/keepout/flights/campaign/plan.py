@@ -12,7 +12,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -36,6 +35,7 @@ from keepout.core.mission.drift_safe import wants_drift_safety
 from keepout.core.mission.law import named_guidance
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import guard_numbers
+from keepout.core.mission.zones import with_digests
 from keepout.core.progress import Progress, silent
 from keepout.flights.campaign.dispersion import Design, Run, design, draw
 
@@ -340,7 +340,13 @@ class Plan:
         return number * self.chunk, min((number + 1) * self.chunk, self.runs)
 
     def draw(self, first: int, last: int) -> list[Run]:
-        """Draw the runs from `first` up to `last`."""
+        """Draw the runs from `first` up to `last`.
+
+        Raises:
+            ScenarioError: on this machine the mesh of a zone is not there, or is another.
+
+        """
+        with_digests(self.scenario)
         return draw(_of_a_run(self.scenario), self.design, self.workshop.mission, first, last)
 
     def guard_numbers(self) -> dict[str, Any] | None:
@@ -360,7 +366,6 @@ class Plan:
             "chunk": self.chunk,
             "target_sha256": self.target_sha256,
             "field_sha256": self.field_sha256,
-            **({"zones_sha256": meshes} if (meshes := _zone_digests(self.scenario)) else {}),
             "versions": {"keepout": keepout.__version__, "jax": jax.__version__, "numpy": np.__version__},
         }
 
@@ -393,14 +398,16 @@ class Plan:
             KeepoutError: what holds for every run is not valid, or none of the first runs can be flown.
 
         """
-        target = load_target(scenario.target) if target is None else target
-        model = load_model(scenario, target) if model is None else model
-        model.require_target(target, where="field")
-        if wants_drift_safety(scenario):  # once for all runs, on the way of the scenario's own start
-            scenario = prepare(scenario, target=target, model=model).scenario
         varied = design(scenario)
         if batch is not None and batch < 1:
             raise ScenarioError(f"batch: {batch} flights; it must be at least 1")
+        target = load_target(scenario.target) if target is None else target
+        model = load_model(scenario, target) if model is None else model
+        model.require_target(target, where="field")
+        scenario = with_digests(scenario)
+        if wants_drift_safety(scenario):  # once for all runs, on the way of the scenario's own start
+            scenario = prepare(scenario, target=target, model=model).scenario
+            varied = design(scenario)
         runs = scenario.campaign.runs
         batch = batch or usual_batch(runs)
         workshop = Workshop()
@@ -420,11 +427,6 @@ class Plan:
             target.sha256,
             model.sha256,
         )
-
-
-def _zone_digests(scenario: Scenario) -> list[str]:
-    """Digest the meshes of zones, of which the scenario has the names only."""
-    return [digest(Path(zone.file).read_bytes()) for zone in scenario.zone if zone.file is not None]
 
 
 def _of_a_run(scenario: Scenario) -> Scenario:

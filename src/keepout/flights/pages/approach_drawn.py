@@ -13,10 +13,10 @@ from scipy.spatial import ConvexHull
 
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.hulls import hulls_of
-from keepout.core.mission.approach import ends, unit
 from keepout.core.mission.flight import allowed_speed
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.task_entries import CorridorEntry, LegEntry, ZoneEntry
+from keepout.core.mission.zones import ends, unit
 
 _ARC = 16
 """Pieces of a half or a part of a circle in a body's outline."""
@@ -160,7 +160,7 @@ def told(scenario: Scenario, start: float) -> dict[str, Any]:
 def _zone(zone: ZoneEntry) -> dict[str, Any]:
     """Give the form of a zone."""
     if zone.file is not None:
-        parts = hulls_of(zone.file, zone.units)
+        parts = hulls_of(zone.file, zone.units).parts
         begins = np.cumsum([0, *(len(hull.corners) for hull in parts)])[:-1]
         faces = [hull.faces + begin for hull, begin in zip(parts, begins, strict=True)]
         corners = np.concatenate([hull.corners for hull in parts]).round(4)

@@ -9,10 +9,10 @@ import numpy as np
 
 from keepout.core.errors import KeepoutError
 from keepout.core.geometry.target import Target
-from keepout.core.mission.approach import named
 from keepout.core.mission.first_look import assumed_disturbance, flown_disturbance
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.task_entries import LegEntry, ZoneEntry
+from keepout.core.mission.zones import named
 from keepout.core.plug_ins import load
 from keepout.flights.requirements import required
 
@@ -142,7 +142,9 @@ def _leg(leg: LegEntry, number: int) -> str:
     held = [f"for {leg.dwell:g} s"] if leg.dwell else []
     held += [f'until "go" (in simulation at {leg.go_at:g} s)'] if leg.go_at is not None else []
     hold = f", held {' and '.join(held)}" if held else ""
-    return f"{named('leg', leg, number)} to {_place(leg.position)} m within {leg.tolerance:g} m{speed}{window}{hold}"
+    speed += ", slow enough to drift past without thrust" if leg.drift_safe else ""
+    place = _place(leg.position) + (" m" if leg.axes == "body" else f" m ({leg.axes})")
+    return f"{named('leg', leg, number)} to {place} within {leg.tolerance:g} m{speed}{window}{hold}"
 
 
 def _zone(zone: ZoneEntry, number: int) -> str:

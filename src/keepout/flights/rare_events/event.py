@@ -409,6 +409,7 @@ def rare(
     scenario = Scenario.of(scenario)
     progress(0.0, "preparing")
     mission = prepare(scenario, target=target, model=model, progress=part_of(progress, 0.0, 0.1))
+    scenario = mission.scenario
     _refuse_theorem(mission, below)
     flown = TapedFlights(mission)
     question = Question(below, runs, flights, scenario.seed, MOST_LEVELS)
