@@ -30,7 +30,7 @@ EXAMPLES = REPOSITORY / "examples"
 GALLERY = REPOSITORY / "docs" / "gallery"
 WIDTH, MOST = 900, 60_000
 """Of a picture: pixels, bytes."""
-MACHINE = re.compile(r"│ (seconds|processors|computed in s) ")
+MACHINE = re.compile(r"│ (seconds|processors|computed in s) |  \"median_step_us\"")
 """Begins a printed line that tells of the machine, which no page has."""
 SHOWN = 60
 """Printed lines of a page; of more, those in the middle are left out."""
