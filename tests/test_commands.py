@@ -253,7 +253,7 @@ def test_a_refused_certificate_leaves_the_field_as_it_was(folder, fitted):
 
 
 FEWER_POINTS = """
-from keepout.core.measures import surface
+from keepout.flights import surface
 surface._SURFACE_CELLS = 2e4
 surface.surface_distance.__kwdefaults__["count"] = 5_000
 from keepout.cli import main

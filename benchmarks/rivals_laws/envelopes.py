@@ -21,7 +21,7 @@ from keepout.core.control.controller import Controller
 from keepout.core.control.profiles import Operation
 from keepout.core.fields.field import Field
 from keepout.core.fields.own import SphereField
-from keepout.core.measures.surface import smallest_ellipsoid
+from keepout.flights.surface import smallest_ellipsoid
 from rivals_laws.envelope_fields import CapsuleField, EllipsoidField
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase

@@ -7,7 +7,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from keepout.core.measures.surface import Points, convex_hull
+from keepout.flights.surface import Points, convex_hull
 
 Point = Float[np.ndarray, "3"]
 

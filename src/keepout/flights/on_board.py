@@ -16,7 +16,6 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from keepout.core.compiled.kept_programs import keep_programs
-from keepout.core.compiled.one_kernel import compiled
 from keepout.core.control.law import Command
 from keepout.core.errors import ControlError
 from keepout.core.flight import loop
@@ -24,6 +23,7 @@ from keepout.core.flight.navigation import Sample
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.motion.arrays import Vector
 from keepout.core.motion.relative import MotionState
+from keepout.flights.one_kernel import compiled
 
 Numbers = Float[np.ndarray, "_"] | Array | Sequence[float]
 """One number a component, SI units."""
@@ -161,7 +161,7 @@ class OnBoard:
     another thread is most of the tail.
 
     Attributes:
-        one_kernel: whether the step is compiled in one piece (`compiled/one_kernel.py`): several times faster, not
+        one_kernel: whether the step is compiled in one piece (`flights/one_kernel.py`): several times faster, not
             otherwise different.
 
     """

@@ -14,7 +14,6 @@ from keepout.core.geometry.target import Target
 from keepout.core.learning import training
 from keepout.core.learning.losses import TrainingProfile
 from keepout.core.measures.quality import curvature, distance_errors, margin_cost, surface_errors
-from keepout.core.measures.surface import Surface, extract_surface, measure_volumes, steepest_slope, surface_distance
 from keepout.core.mission.build import load_model
 from keepout.core.mission.entries import TargetEntry
 from keepout.core.mission.scenario import Scenario, ScenarioLike
@@ -24,6 +23,7 @@ from keepout.core.proof.certificate import certify as _certify
 from keepout.core.whole_file import require_place
 from keepout.flights.pages.folder import results_in
 from keepout.flights.pages.mesh_pictures import draw_slices, draw_surface
+from keepout.flights.surface import Surface, extract_surface, measure_volumes, steepest_slope, surface_distance
 from keepout.verbs.meshes import MeshLike, mesh_of, recorded_target
 
 BANDS = ((0.05, 1.0), (1.0, 5.0))

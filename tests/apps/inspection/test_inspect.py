@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from truths.box_problems import patches_and_sight, problem_of
 from truths.boxes import HALF, box_distance
-from truths.made_up_inspection import seen_of_box
 
 from keepout.apps.inspection.inspect import inspect
 from keepout.apps.inspection.light import Camera, Light
@@ -55,42 +54,6 @@ def tour(**windows):
 def flown():
     mission = scenario()
     return inspect(mission, problem=problem_of(mission), first=tour())
-
-
-@pytest.mark.slow  # the journey of the command is in test_commands
-def test_all_of_a_box_is_seen_without_touching_it(flown):
-    assert flown.outcome == "all seen", flown.why
-    assert flown.audit.contact is Contact.NO
-    assert flown.start_certified
-    assert flown.assumptions_broken == ()
-    assert flown.coverage == pytest.approx(1.0)
-    apart, (_, shares) = box_distance(flown.record.position), flown.over_time()
-    assert apart.min() >= STAND_OFF
-    assert STAND_OFF - RADIUS <= flown.audit.minimum_clearance <= apart.min() - RADIUS + 1e-9
-    assert np.all(np.diff(shares) >= 0.0)
-    # It flies through views and does not rest at each.
-    assert np.mean(np.linalg.norm(flown.record.velocity, axis=1)[30:] < 0.005) < 0.2
-
-
-@pytest.mark.slow  # coverage by the files alone is in test_commands
-def test_frames_are_taken_each_period_from_the_records_true_places_and_show_what_a_box_shows(flown):
-    record, rules, camera = flown.record, flown.rules, flown.scenario.camera
-    assert [frame.time for frame in flown.frames] == [5.0 * n for n in range(len(flown.frames))]
-    seen = np.zeros(flown.patches.units, dtype=bool)
-    counted = 0
-    for frame in flown.frames:
-        assert np.array_equal(frame.position, record.position[int(np.searchsorted(record.time, frame.time))])
-        expected = seen_of_box(flown.patches, rules, frame.position, frame.boresight)
-        assert np.isin(frame.units, expected).all()
-        counted += len(expected) - len(frame.units)
-        seen[frame.units] = True
-    assert np.array_equal(seen, flown.seen)
-    # Bounding a patch by a cone about its middle leaves out little.
-    assert counted <= 0.1 * sum(len(frame.units) for frame in flown.frames)
-    boresights = np.array([frame.boresight for frame in flown.frames])
-    assert np.linalg.norm(boresights, axis=1) == pytest.approx(1.0)
-    cosines = np.clip(np.sum(boresights[1:] * boresights[:-1], axis=1), -1.0, 1.0)
-    assert np.arccos(cosines).max() <= camera.turn_rate * camera.period + 1e-7
 
 
 @pytest.mark.slow  # flies all of the test before

@@ -1,17 +1,12 @@
 """The folder and the pictures of an inspection, against what the made-up one saw, in closed form."""
 
-import dataclasses
-import json
-
 import matplotlib.image
 import numpy as np
 import pytest
 from truths.made_up_inspection import made_up
-from truths.results import check_folder
 
 from keepout.apps.inspection import inspection_pictures
 from keepout.apps.inspection.inspection import FATE_COLOURS, Fate
-from keepout.apps.inspection.inspection_page import write_inspection
 from keepout.apps.inspection.inspection_pictures import best_views
 
 pytestmark = pytest.mark.long
@@ -20,32 +15,6 @@ pytestmark = pytest.mark.long
 @pytest.fixture(scope="module")
 def inspection():
     return made_up()
-
-
-@pytest.fixture(scope="module")
-def written(inspection, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("inspection")
-    flight = dataclasses.replace(inspection.flight, assumptions_broken=("<b>broken</b>",))
-    return folder, write_inspection(folder, dataclasses.replace(inspection, why="<script>evil</script>", flight=flight))
-
-
-@pytest.mark.slow  # test_commands.py writes the folder
-def test_the_folder_holds_what_there_is_to_see(written, inspection):
-    folder, summary = written
-    page = check_folder(folder, summary, ("coverage", "surface", "contact-sheet", "motion"))
-    assert f"{inspection.coverage:.2%} of the surface was seen" in page
-    assert json.loads((folder / "summary.json").read_text()) == json.loads(json.dumps(summary))
-
-
-@pytest.mark.slow  # the command writes it in test_commands
-def test_the_list_of_what_was_not_seen_is_whole_and_adds_up(written, inspection):
-    told = json.loads((written[0] / "unseen.json").read_text())
-    assert len(told["patches"]) == (inspection.patches.counted & ~inspection.seen).sum()
-    left = sum(reason["area"] for reason in told["reasons"].values())
-    assert left / told["area_counted"] == pytest.approx(1.0 - inspection.coverage)
-    for name, reason in told["reasons"].items():
-        chosen = [entry["area"] for entry in told["patches"] if entry["reason"] == name]
-        assert (len(chosen), sum(chosen)) == (reason["count"], pytest.approx(reason["area"]))
 
 
 def test_the_surface_has_the_colour_of_what_became_of_it(inspection, tmp_path):

@@ -6,7 +6,6 @@ import jax
 import numpy as np
 import pytest
 
-from keepout.apps.reproduction import fitted
 from keepout.apps.reproduction.fitted import Recipe, field_of
 from keepout.apps.reproduction.work import Work
 from keepout.core.geometry.target import Target
@@ -60,16 +59,3 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_field(target, fitted_once, t
     for first, second in zip(weights(fitted_once[1]), weights(resumed), strict=True):
         np.testing.assert_array_equal(first, second)
     assert resumed.training["curve"]["steps"] == [250, 500]
-
-
-@pytest.mark.slow  # kept work is in test_work
-def test_a_kept_field_is_not_fitted_again_and_a_named_folder_comes_first(target, fitted_once, tmp_path, monkeypatch):
-    folder, first = fitted_once
-    monkeypatch.setattr(fitted, "fit", lambda *_, **__: pytest.fail("fitted again"))
-    for work in (
-        Work(folder),
-        Work(folder.parent / "volumes"),  # finds what table1 fitted beside it
-        Work(tmp_path / "table1", fields=folder / "fields"),
-    ):
-        assert field_of(work, TINY, target, fitting=True).sha256 == first.sha256
-    assert field_of(Work(tmp_path / "volumes"), TINY, target, fitting=False) is None

@@ -20,14 +20,11 @@ from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.by_map import SLOPE, ByMap, DeclaredBall, MapField, field_of, guard_by_map, require_start
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.apps.unknown.view import SensorBounds
-from keepout.core.audit.audit import Contact, audit
 from keepout.core.errors import FieldError, KeepoutError
 from keepout.core.fields.field import values
 from keepout.core.flight.loop import begin, fly_segment, joined
-from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.guard.guard import Guard
-from keepout.core.guard.safety_layer import GuardStatus, mode
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.arrays import numbers_as_arrays
@@ -212,27 +209,6 @@ def flight():
     log = joined(logs)
     record = SimpleNamespace(**{name: np.asarray(rows) for name, rows in vars(log).items() if rows is not None})
     return SimpleNamespace(record=record, plans=plans)
-
-
-@pytest.mark.slow  # the journey of the command is in test_commands
-def test_a_chaser_sees_its_way_to_a_goal_within_the_ball_and_never_touches(flight):
-    record, done = flight.record, np.asarray(mode(jnp.asarray(flight.record.guard_status)))
-    assert np.linalg.norm(record.position[-1] - LEGS[-1]) < 0.2
-    assert not (done == GuardStatus.ESCAPING).any()
-    assert (record.guard_status == done).all()  # no flags
-    assert done.astype(bool).mean() < 0.02
-    assert np.isfinite(record.force).all()
-    verdict = audit(
-        record,
-        Target.load("box"),
-        chaser_radius=SCENARIO.chaser.radius,
-        bounds=Surroundings(SCENARIO).flight_bounds,
-        force_limit=SCENARIO.chaser.force_limit,
-        speed_limit=2.0 * SCENARIO.chaser.speed_limit,
-    )
-    assert verdict.contact is Contact.NO
-    assert verdict.consistent
-    assert verdict.minimum_clearance > 0.3
 
 
 def test_a_map_that_is_no_later_one_is_refused():

@@ -1,14 +1,12 @@
 """Pictures of an exploration against what the made-up one saw, in closed form."""
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 from truths.made_up_exploration import CAMERA, HALF, PERIOD, REFUSED, circle, look_at, made_up
-from truths.results import check_folder
 
-from keepout.apps.unknown.exploration_page import FirstSight, write_exploration
+from keepout.apps.unknown.exploration_page import FirstSight
 from keepout.core.geometry.target import Target
 
 pytestmark = pytest.mark.long
@@ -45,13 +43,3 @@ def test_times_of_first_sight_are_those_of_a_convex_box(exploration):
     np.testing.assert_array_equal(sight.times[inner], expected[inner])
     assert 0.2 < np.isinf(expected[inner]).mean() < 0.8
     assert len(np.unique(expected[inner])) >= 3
-
-
-@pytest.mark.slow  # test_commands.py writes the folder
-def test_the_folder_holds_what_there_is_to_see(exploration, tmp_path):
-    flight = dataclasses.replace(exploration.flight, assumptions_broken=("<b>broken</b>",))
-    evil = dataclasses.replace(exploration, why="<script>evil</script>", flight=flight)
-    summary = write_exploration(tmp_path, evil)
-    page = check_folder(tmp_path, summary, ("seen", "map", "progress", "unknown", "departures", "motion"))
-    assert "Contact not excluded" in page
-    assert summary["refused_views"] == {"pose jump": 1}

@@ -42,25 +42,6 @@ def to_goal():
     return explore(scenario(**HARD), target=crate())
 
 
-@pytest.mark.slow  # the journey of the command is in test_commands
-@pytest.mark.long
-def test_a_goal_behind_an_unknown_body_is_reached_without_touching_it(to_goal):
-    assert to_goal.outcome == "reached goal", to_goal.why
-    assert to_goal.audit.contact is Contact.NO
-    assert to_goal.start_certified
-    assert to_goal.assumptions_broken == to_goal.map.assumptions_broken == ()
-    summary = to_goal.summary()
-    assert summary["contradicting_returns"] == 0
-    assert np.linalg.norm(to_goal.record.position[-1] - [-3.2, 0.2, 0.4]) < 0.15
-    # Truth from elsewhere: distances of the recorded samples to the crate as a box.
-    gap = np.linalg.norm(np.maximum(np.abs(to_goal.record.position) - [1.5, 1.0, 1.0], 0.0), axis=1) - 0.4
-    assert gap.min() > 0.1
-    assert to_goal.audit.minimum_clearance <= gap.min() + 1e-9
-    # The guard held a plan from start to end.
-    assert summary["guard_flags"] == {}
-    assert int(to_goal.flown.guard_interventions) == 0
-
-
 @pytest.mark.slow  # flies all of the test before
 def test_a_seed_gives_the_same_flight_and_views_and_a_target_that_is_not_where_it_was_expected_is_reported(to_goal):
     again = explore(scenario(**HARD, duration=150.0), target=crate(), expected=crate(at=(0.0, 0.0, 1.5)))

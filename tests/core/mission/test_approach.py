@@ -140,21 +140,6 @@ def test_room_that_is_not_clear_is_refused_with_both_distances(change, said):
         approach.require_approach(Surroundings(Scenario.of({**ROUGH, "corridor": [{**MOUTH, **change}]}), _BOX))
 
 
-@pytest.mark.slow  # a minute; that a way is not there is refused in tests/core/control/test_guidance.py
-def test_a_wall_round_the_way_is_refused_by_the_leg_that_it_closes():
-    walls = [
-        {"shape": "box", "lower": lower, "upper": upper}
-        for lower, upper in (
-            ([9.0, -30.0, -30.0], [10.0, 30.0, 30.0]),
-            ([-30.0, -30.0, -30.0], [-29.0, 30.0, 30.0]),
-            *(([-30.0, s, -30.0], [10.0, s + 1.0, 30.0]) for s in (-30.0, 29.0)),
-            *(([-30.0, -30.0, s], [10.0, 30.0, s + 1.0]) for s in (-30.0, 29.0)),
-        )
-    ]
-    with pytest.raises(KeepoutError, match=r'leg "near": start: .* is not connected to the goal'):
-        prepare({**TREE, "zone": walls, "corridor": []})
-
-
 def test_a_leg_in_inertial_axes_is_where_it_is_as_the_flight_begins():
     orbit = {"semi_major_axis": 7e6, "inclination": 0.7, "true_anomaly": 1.0, "eccentricity": 0.05}
     given = [{"position": [3.0, -6.0, 2.0]}, {"position": [1.0, 8.0, 2.0], "axes": "inertial", "tolerance": 0.3}]

@@ -1,7 +1,6 @@
 """Pages of campaigns whose numbers a test wrote: links, escapes, commands, tables."""
 
 import csv
-import dataclasses
 import html
 import json
 import re
@@ -10,11 +9,8 @@ import shlex
 import numpy as np
 import pytest
 from truths.campaigns import drawn, flown, scenario, write_campaign
-from truths.passing import box_scenario, pass_record
-from truths.replay_page import ReplayPage
 
 from keepout.core.errors import ScenarioError
-from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.pages.campaign_page import PLACE, compare_campaigns, replay_command, report_campaign
 
 pytestmark = pytest.mark.as_used
@@ -83,39 +79,6 @@ def test_the_command_flies_the_run_of_that_folder(tmp_path):
     [table] = [part for part in re.findall(r"<div class=wide>(.*?)</div>", page) if "least clearance, m" in part]
     assert "<code" not in table
     assert re.findall(r"<tr><td>(\d+)</td>", table) == [str(run) for run in worst]
-
-
-@pytest.mark.slow  # test_commands.py flies a run of a campaign again
-def test_the_worst_flights_that_were_kept_have_a_replay(tmp_path):
-    folder = campaign(tmp_path / "out")
-    worst = report_campaign(folder)["worst_runs"]
-    dataset = Dataset.open(folder)
-    scenarios = {
-        worst[0]: box_scenario(tmp_path, 3.0, "first"),
-        worst[1]: box_scenario(tmp_path, 3.0, "second", field={"source": str(tmp_path / "gone.keepout")}),
-        worst[2]: box_scenario(tmp_path, 3.0, "third"),
-    }
-    for run, of in scenarios.items():
-        record = pass_record(of, 3.0)
-        dataset.kept(run).parent.mkdir(exist_ok=True)
-        header = record.header | {"campaign": dataset.plan_sha256, "run": run}
-        dataclasses.replace(record, header=header).save(dataset.kept(run))
-    report_campaign(folder)
-    check_links(folder / "index.html")
-    replay = ReplayPage.read(folder / PLACE / "worst.html")
-    assert list(replay.flights()) == [f"run {worst[0]}", f"run {worst[2]}"]
-    found = links(folder / "index.html")
-    assert [link for link in found if "worst.html" in link] == [
-        f"{PLACE}/worst.html#run%20{run}" for run in (worst[0], worst[2])
-    ]
-    assert f"{PLACE}/worst.png" in found
-    page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
-    assert "gone.keepout" in page
-    assert page.count("not kept") == len(worst) - 3
-    for run in scenarios:
-        dataset.kept(run).unlink()
-    report_campaign(folder)
-    assert not (folder / PLACE / "worst.html").exists()
 
 
 def test_two_campaigns_compared(tmp_path):

@@ -15,8 +15,8 @@ from keepout.core.geometry.target import Target
 from keepout.core.learning.losses import PROFILES, TrainingProfile
 from keepout.core.learning.training import fit
 from keepout.core.measures.quality import gradient_errors
-from keepout.core.measures.surface import default_spacing
 from keepout.core.proof.certificate import certify, sample_certificate
+from keepout.flights.surface import default_spacing
 
 TARGETS = {"iss": "ISS", "tiangong": "CSS", "intelsat30": "Intersat-30"}
 """Built-in targets, and what the paper calls them, in its order."""

@@ -14,7 +14,7 @@ from keepout.apps.reproduction.fitted import CHASER_RADII, OFFSET, SHIPPED, TARG
 from keepout.apps.reproduction.work import Part, Table, Work
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target, enclosed_volume
-from keepout.core.measures.surface import (
+from keepout.flights.surface import (
     Surface,
     convex_hull,
     default_spacing,

@@ -78,6 +78,11 @@ def as_flown(scenario: Scenario) -> Scenario:
     return scenario.replace(leg=legs, goal={"position": legs[-1]["position"]})
 
 
+def wants_drift_safety(scenario: Scenario) -> bool:
+    """Whether any leg is to be flown no faster than a drift from it is safe."""
+    return any(leg.drift_safe for leg in scenario.leg)
+
+
 def released(scenario: Scenario) -> list[float]:
     """Give for each leg the time, s, before which it is not over: by "go", and by when the next may be begun."""
     begun = [0.0 if leg.within is None else leg.within[0] for leg in scenario.leg]

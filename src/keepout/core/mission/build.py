@@ -33,8 +33,7 @@ from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import SafetyLayer
 from keepout.core.guard.start import require_flyable
-from keepout.core.mission.approach import as_flown, earliest, require_approach
-from keepout.core.mission.drift_safe import drift_safe, wants_drift_safety
+from keepout.core.mission.approach import as_flown, earliest, require_approach, wants_drift_safety
 from keepout.core.mission.first_look import require_shipped
 from keepout.core.mission.flight import Flight, judged
 from keepout.core.mission.law import broken_as, law_on, law_or_way_out, room_for_guard
@@ -331,7 +330,7 @@ def prepare(
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
     if wants_drift_safety(scenario):
         given = {"target": target, "model": model, "guidance": guidance, "guard_grid": guard_grid}
-        slowed = drift_safe(around, law, part_of(progress, 0.6, 0.7))
+        slowed = load("flight", "drift_safe")(around, law, part_of(progress, 0.6, 0.7))
         return prepare(slowed, **given, progress=part_of(progress, 0.7, 1.0))
     setup = around.setup(broken_as(scenario, law, model.field), field=model.field)
     if scenario.navigation.suite != "none":

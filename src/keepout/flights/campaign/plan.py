@@ -29,9 +29,8 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard
 from keepout.core.kept import digest
-from keepout.core.mission.approach import LegPlan
+from keepout.core.mission.approach import LegPlan, wants_drift_safety
 from keepout.core.mission.build import Mission, closing_radius, load_model, load_target, prepare
-from keepout.core.mission.drift_safe import wants_drift_safety
 from keepout.core.mission.law import named_guidance
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import guard_numbers

@@ -251,7 +251,7 @@ def export_scene(
     from trimesh.visual.material import PBRMaterial
     from trimesh.visual.texture import TextureVisuals
 
-    from keepout.core.measures.surface import default_spacing, extract_surface, steepest_slope
+    from keepout.flights.surface import default_spacing, extract_surface, steepest_slope
 
     level = 0.0 if certificate is None else certificate.chaser_radius + certificate.error_bound
     steepest = steepest_slope(model.field, target.distance) if certificate is None else certificate.gradient_bound

@@ -166,7 +166,7 @@ def drawn_surface(
 
 
 def _cut(field: Field, distance: Distance, level: float, steepest: float, spacing: float, progress: Progress) -> Arrays:
-    from keepout.core.measures.surface import extract_surface  # takes long to import: only where a surface is cut
+    from keepout.flights.surface import extract_surface  # takes long to import: only where a surface is cut
 
     cut = extract_surface(field, distance, level, steepest=steepest, spacing=spacing, progress=progress)
     vertices, faces, within = _simplified(cut.vertices, cut.faces, _FLATTENED * spacing)

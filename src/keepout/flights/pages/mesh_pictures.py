@@ -24,7 +24,7 @@ from keepout.flights.pages.approach_drawn import paint_bodies
 from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure, looks
 
 if TYPE_CHECKING:  # which takes long to import
-    from keepout.core.measures.surface import Surface
+    from keepout.flights.surface import Surface
 
 GREY = np.array([0.82, 0.85, 0.9])
 """Of a mesh without colours of its own."""

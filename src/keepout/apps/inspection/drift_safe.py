@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from keepout.apps.inspection.passive import drift_speed
 from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import Guidance
 from keepout.core.control.legs import LegGuidance
@@ -18,7 +19,6 @@ from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.zones import named
 from keepout.core.motion.arrays import Vector, norm
-from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, silent
 
 _STEP = 0.1
@@ -26,11 +26,6 @@ _STEP = 0.1
 _DETOUR = 4.0
 """A course is followed for so many times the straight way, and `_MORE` m."""
 _MORE = 20.0
-
-
-def wants_drift_safety(scenario: Scenario) -> bool:
-    """Whether any leg is to be flown no faster than a drift from it is safe."""
-    return any(leg.drift_safe for leg in scenario.leg)
 
 
 def drift_safe(around: Surroundings, law: Controller, progress: Progress = silent) -> Scenario:
@@ -64,7 +59,7 @@ def drift_safe(around: Surroundings, law: Controller, progress: Progress = silen
             course = course_of(way, place, goal, named("leg", leg, number))
             length = float(np.linalg.norm(np.diff(course, axis=0), axis=1).sum())
             asked: dict[str, Any] = {"seconds": scenario.approach.abort_time, "limit": limit}
-            speed, slowest = load("flight", "drift_speed")(
+            speed, slowest = drift_speed(
                 scenario, around.target.distance.distance, course, (time, time + length / limit), **asked
             )
             if not speed:

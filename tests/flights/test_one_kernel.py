@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keepout.core.compiled.one_kernel import compiled
+from keepout.flights.one_kernel import compiled
 
 pytestmark = pytest.mark.as_used
 

@@ -13,7 +13,7 @@ from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target, enclosed_volume
 from keepout.core.measures.quality import gradient_errors, summarised, surface_errors
-from keepout.core.measures.surface import (
+from keepout.flights.surface import (
     Ellipsoid,
     Surface,
     extract_surface,
