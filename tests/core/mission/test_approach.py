@@ -13,6 +13,8 @@ from truths.boxes import LEARNED
 
 import keepout
 from keepout.core.audit.tube import Contact
+from keepout.core.control.geodesic import Geodesic
+from keepout.core.control.legs import LegGuidance
 from keepout.core.errors import KeepoutError
 from keepout.core.mission import approach, zones
 from keepout.core.mission.build import prepare
@@ -153,6 +155,18 @@ def test_a_leg_in_inertial_axes_is_where_it_is_as_the_flight_begins():
         assert approach.as_flown(last) is last
     with pytest.raises(KeepoutError, match=r'leg\.1\.axes: "inertial", and attitude\.kind is "vvlh"'):
         Scenario.of({"leg": given, "orbit": orbit})
+
+
+@pytest.mark.long
+def test_the_way_of_a_single_leg_is_flown_with_another_speed_too(mission):
+    """As campaigns take it that vary what the speed follows from, round zones and without legs."""
+    way = mission.setup.controller.law.velocity.guidance.way
+    made, place = LegGuidance.of([way], None), jnp.array([12.0, 0.5, 0.0])
+    slower = approach.LegPlan(Scenario.of({"zone": [SUN]}), Geodesic(), None).again(made, 0.01, 1.0)
+    np.testing.assert_allclose(jnp.linalg.norm(slower.desired_velocity(place)), 0.01, rtol=1e-3)
+    wanted = made.desired_velocity(place)
+    np.testing.assert_allclose(wanted, way.desired_velocity(place), atol=1e-12)
+    np.testing.assert_allclose(jnp.linalg.norm(wanted), way.speed, rtol=1e-2)
 
 
 def test_earliest_times_follow_from_what_is_said():

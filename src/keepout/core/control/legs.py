@@ -25,6 +25,8 @@ from keepout.core.motion.relative import MotionState
 
 SURE = 0.75
 """Share of a hold's tolerance within which the estimate must be for the hold to count: the rest is for its error."""
+_FEW = 64
+"""Numbers of an array that is copied without a thought."""
 
 
 class SpeedByDistance(eqx.Module):
@@ -86,8 +88,9 @@ class LegGuidance(Guidance):
         shapes = {str(jax.tree.map(jnp.shape, way)) for way in arrays}
         if len(shapes) > 1 or any(other != still for other in others):
             raise ControlError("legs: their guidances are not of one kind, with arrays of the same shapes")
-        # An array that all of them hold is not copied: it may be large.
-        same = jax.tree.map(lambda *parts: all(part is parts[0] for part in parts), *arrays)
+        # An array that all of them hold is not copied: it may be large. A single leg has its numbers as two have them.
+        few = _FEW if len(ways) == 1 else 0
+        same = jax.tree.map(lambda *parts: all(part is parts[0] for part in parts) and np.size(parts[0]) > few, *arrays)
         own = jax.tree.map(lambda shared, *parts: None if shared else jnp.stack(parts), same, *arrays)
         common = jax.tree.map(lambda shared, part: part if shared else None, same, arrays[0])
         last: Any = jax.device_put(np.asarray(len(ways) - 1, dtype=np.int32))
