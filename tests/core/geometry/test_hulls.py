@@ -34,10 +34,10 @@ def two_parts(tmp_path):
 
 
 def test_of_each_part_its_hull_counts(two_parts):
-    parts = hulls_of(two_parts, "cm").parts
-    assert len(parts) == 2
+    hulls = hulls_of(two_parts, "cm")
+    assert len(hulls.parts) == 2
     shape = zone_shape(ZoneEntry(shape="mesh", file=two_parts, units="cm"))
-    distance = judged.mesh([(hull.corners, hull.faces) for hull in parts])
+    distance = judged.mesh(hulls)
     points = _RNG.uniform(-4.0, 4.0, (20_000, 3))
     flown, found = np.asarray(jax.vmap(shape.distance)(points)), distance(points)
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.8).apply_translation([-2.0, 0.0, 0.5])

@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+import trimesh
 from truths.approaches import TREE
 
 from keepout.core.audit.tube import Contact
+from keepout.core.errors import KeepoutError
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.task_entries import RequireEntry
 from keepout.flights.campaign.campaign import run_campaign
+from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.table import summary
 from keepout.flights.requirements import required
 
@@ -37,3 +40,18 @@ def test_runs_of_a_campaign_hold_and_enter_nothing():
     assert np.ptp(np.array(table["time_to_reach"])) < 30.0
     words = required(RequireEntry(zones="proved", holds=True))
     assert list(words) == ["zones", "holds"]
+
+
+@pytest.mark.long
+def test_a_campaign_round_a_mesh_without_legs_is_another_once_the_mesh_has_changed(tmp_path):
+    mesh, place = tmp_path / "arm.stl", {"target": {"source": "box"}, "field": {"source": "grid"}, "duration": 50.0}
+    trimesh.creation.box(bounds=[[7.0, -0.5, -1.0], [9.0, 0.5, 1.0]]).export(mesh)
+    ends = {"start": {"position": [8.0, 3.0, 0.0]}, "goal": {"position": [8.0, -3.0, 0.0]}}
+    varied = {"runs": 2, "dispersions": {"chaser.mass": {"uniform": [18.0, 22.0]}}}
+    scenario = Scenario.of({**place, **ends, "zone": [{"shape": "mesh", "file": str(mesh)}], "campaign": varied})
+    plan = Plan.of(scenario)
+    assert [run.refusal for run in plan.draw(0, 2)] == [None, None]
+    trimesh.creation.box(bounds=[[7.0, -0.6, -1.0], [9.0, 0.5, 1.0]]).export(mesh)
+    with pytest.raises(KeepoutError, match=r"zone 0: file .*arm\.stl: not the mesh that was flown"):
+        plan.draw(0, 2)
+    assert Plan.of(scenario).sha256 != plan.sha256

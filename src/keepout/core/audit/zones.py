@@ -6,15 +6,16 @@ A zone that turns is bounded piece by piece: while it is turned by at most φ ag
 piece, a point p of the path is nearer to it by at most φ ‖p‖. Pieces are halved until that decides, or are one step.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import scipy.spatial
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from keepout.core.audit.tube import Contact, Tube, lengths, nearest
 from keepout.core.geometry.distance import ExactDistance
+from keepout.core.geometry.hulls import Hulls
 
 Signed = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
 _LONGEST = 512
@@ -88,14 +89,10 @@ def cone(centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], half_angl
     return distance
 
 
-def mesh(
-    bodies: Sequence[tuple[Float[np.ndarray, "_ 3"], Int[np.ndarray, "_ 3"]]],
-) -> Signed:
+def mesh(hulls: Hulls) -> Signed:
     """Give the distance, m, to convex bodies by their corners and triangles; inside of one it says 0."""
-    within = [scipy.spatial.Delaunay(corners) for corners, _ in bodies]
-    begins = np.cumsum([0, *(len(corners) for corners, _ in bodies)])[:-1]
-    faces = [of + begin for (_, of), begin in zip(bodies, begins, strict=True)]
-    surface = ExactDistance(np.concatenate([corners for corners, _ in bodies]), np.concatenate(faces))
+    within = [scipy.spatial.Delaunay(hull.corners) for hull in hulls.parts]
+    surface = ExactDistance(*hulls.surface)
 
     def distance(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points"]:
         inside = np.any([body.find_simplex(points) >= 0 for body in within], axis=0)

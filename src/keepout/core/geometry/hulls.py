@@ -12,9 +12,9 @@ from keepout.core.errors import MeshError
 from keepout.core.geometry.target import part_labels, read_surface, weld
 from keepout.core.kept import digest
 
-MOST_PLANES = 4096
+_MOST_PLANES = 4096
 """Of all parts together, each counted as if it had as many as the one with the most."""
-HALF_SHEET = 1e-3
+_HALF_SHEET = 1e-3
 """Metres by which a flat part is made thicker to every side."""
 
 
@@ -48,6 +48,13 @@ class Hulls:
         """Of all parts together, each counted as if it had as many as the one with the most."""
         return len(self.parts) * max(len(hull.offsets) for hull in self.parts)
 
+    @property
+    def surface(self) -> tuple[Float[np.ndarray, "corners 3"], Int[np.ndarray, "faces 3"]]:
+        """The corners of all parts, m, and the triangles between them."""
+        begins = np.cumsum([0, *(len(hull.corners) for hull in self.parts)])[:-1]
+        faces = [hull.faces + begin for hull, begin in zip(self.parts, begins, strict=True)]
+        return np.concatenate([hull.corners for hull in self.parts]), np.concatenate(faces)
+
 
 def hulls_of(file: str, units: str | None) -> Hulls:
     """Give the convex hull of each part of a mesh file, of triangles that hang together.
@@ -75,10 +82,10 @@ def _hulls(file: str, units: str | None, sha256: str) -> Hulls:
     part = part_labels(weld(surface.vertices, surface.faces))
     parts = tuple(_hull(surface.vertices[np.unique(surface.faces[part == k])]) for k in range(int(part.max()) + 1))
     found = Hulls(parts, sha256)
-    if found.planes > MOST_PLANES:
+    if found.planes > _MOST_PLANES:
         raise MeshError(
             f"{len(parts)} parts, whose hulls have up to {found.planes // len(parts)} planes: {found.planes} together, "
-            f"and at most {MOST_PLANES} are flown; give a simpler mesh"
+            f"and at most {_MOST_PLANES} are flown; give a simpler mesh"
         )
     return found
 
@@ -87,8 +94,8 @@ def _hull(points: Float[np.ndarray, "n 3"]) -> Hull:
     # Rounding makes a thin hull of a sheet that is turned, whose planes would go on far beside it.
     spread = points - points.mean(axis=0)
     across = np.ptp(spread @ np.linalg.svd(spread, full_matrices=False)[2][-1])
-    if len(points) < 4 or across < 2.0 * HALF_SHEET:
-        about = HALF_SHEET * np.array(np.meshgrid(*3 * [(-1.0, 1.0)])).reshape(3, -1).T
+    if len(points) < 4 or across < 2.0 * _HALF_SHEET:
+        about = _HALF_SHEET * np.array(np.meshgrid(*3 * [(-1.0, 1.0)])).reshape(3, -1).T
         points = (points[:, None] + about).reshape(-1, 3)
     found = scipy.spatial.ConvexHull(points)
     # Triangles of one plane have its equation to the last digits or so; one of them is enough.

@@ -203,8 +203,7 @@ def regions(around: Surroundings) -> list[Region]:
         if entry.file is None:
             distance = getattr(judged, entry.shape)(**_parts(entry))
         else:
-            parts = mesh_of(entry, named("zone", entry, number)).parts
-            distance = judged.mesh([(hull.corners, hull.faces) for hull in parts])
+            distance = judged.mesh(mesh_of(entry, named("zone", entry, number)))
         found.append(
             Region(
                 name=named("zone", entry, number),

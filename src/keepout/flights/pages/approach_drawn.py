@@ -160,11 +160,8 @@ def told(scenario: Scenario, start: float) -> dict[str, Any]:
 def _zone(zone: ZoneEntry) -> dict[str, Any]:
     """Give the form of a zone."""
     if zone.file is not None:
-        parts = hulls_of(zone.file, zone.units).parts
-        begins = np.cumsum([0, *(len(hull.corners) for hull in parts)])[:-1]
-        faces = [hull.faces + begin for hull, begin in zip(parts, begins, strict=True)]
-        corners = np.concatenate([hull.corners for hull in parts]).round(4)
-        return {"at": [0.0, 0.0, 0.0], "corners": corners.tolist(), "faces": np.concatenate(faces).tolist()}
+        corners, faces = hulls_of(zone.file, zone.units).surface
+        return {"at": [0.0, 0.0, 0.0], "corners": corners.round(4).tolist(), "faces": faces.tolist()}
     if zone.lower is not None and zone.upper is not None:
         lower, upper = np.array(zone.lower), np.array(zone.upper)
         return {"at": (0.5 * (lower + upper)).tolist(), "size": (upper - lower).tolist()}
