@@ -157,7 +157,7 @@ def work_is_watched(monkeypatch, work):
     [
         (("targets", "--pictures"), None, "keepout.core.geometry.target:enclosed_volume"),
         (("describe", "box", "-o"), None, "keepout.verbs.meshes:survey"),
-        (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.verbs.fields:measure_model"),
+        (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.verbs.measures:measure_model"),
         (("fly", "mission.toml", "-o"), None, "keepout.core.mission.build:fly"),
         (("explore", "explore.toml", "-o"), None, "keepout.apps.unknown.explore:explore"),
         (("inspect", "mission.toml", "-o"), None, "keepout.apps.inspection.inspect:inspect"),
@@ -325,8 +325,11 @@ def test_light_commands_import_nothing_heavy():
     for words, unneeded in commands.items():
         code = f"from keepout import cli; sys.argv = {['keepout', *words]}; cli.main()"
         rows.append((code, ["'keepout.cli' in sys.modules", *(f"{name!r} in sys.modules" for name in unneeded)]))
-    for words, loaded in zip(commands, held(rows), strict=True):
+    flies = [f"'keepout.core.{room}' in sys.modules" for room in ("control", "flight", "guard", "mission.build")]
+    *of_commands, of_a_fit = held([*rows, ("from keepout import fit, certify; import keepout.cli.mesh", flies)])
+    for words, loaded in zip(commands, of_commands, strict=True):
         assert loaded == ["'keepout.cli' in sys.modules"], words
+    assert not of_a_fit
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")

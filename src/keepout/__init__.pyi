@@ -39,11 +39,11 @@ from .verbs.campaigns import Campaign as Campaign
 from .verbs.campaigns import campaign as campaign
 from .verbs.check import check as check
 from .verbs.fields import fit as fit
-from .verbs.fields import measure as measure
 from .verbs.files import audit as audit
 from .verbs.files import export as export
 from .verbs.files import replay as replay
 from .verbs.files import report as report
+from .verbs.measures import measure as measure
 from .verbs.meshes import describe as describe
 
 __version__: str

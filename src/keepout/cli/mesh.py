@@ -321,7 +321,7 @@ def measure(
         from keepout.core.fields import shipped_path
         from keepout.core.fields.model import FieldModel
         from keepout.core.mission.target import load_target
-        from keepout.verbs.fields import measured
+        from keepout.verbs.measures import measured
         from keepout.verbs.meshes import recorded_target
 
         with usage():
