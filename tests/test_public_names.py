@@ -120,16 +120,51 @@ def public_functions():
                     yield f"keepout.{name}.{key}", of
 
 
+def told(words, section):
+    """Give what a docstring says of each name in a section."""
+    lines = inspect.cleandoc(words).partition(f"{section}:\n")[2].partition("\n\n")[0]
+    entries = re.split(r"^    (\**\w+): ", lines, flags=re.MULTILINE)[1:]
+    return {name.lstrip("*"): words for name, words in zip(entries[::2], entries[1::2], strict=True)}
+
+
+UNIT = re.compile(
+    r"(?<![\w.])(m|s|kg|N|rad|m[/²³]s?²?|rad/s|1/s²?|metres|ratio|relative|fraction|share|quaternion|axes|‖∇f̃‖)(?![\w(])"
+)
+FRAME = re.compile(r"\b(body|VVLH|inertial|orbital)\b")
+IN_A_FRAME = re.compile(r"(?<!least_)(position|velocity|force|attitude)$")
+
+
+def unsaid(name, annotation, words, whole):
+    """Say which of unit and frame the words on a quantity leave out; `whole` is the docstring that they stand in."""
+    quantity = re.search(r"\bfloat\b|Float\[", str(annotation)) and not re.search("Callable|dict", str(annotation))
+    if quantity and not name.endswith("seconds") and not UNIT.search(words):
+        yield "unit"
+    if quantity and IN_A_FRAME.search(name) and not FRAME.search(whole):
+        yield "frame"
+
+
 def test_a_public_name_says_what_each_argument_is_and_when_it_refuses():
     silent = []
     for name, function in public_functions():
-        code = inspect.unwrap(function)
-        asked = [key for key in inspect.signature(code).parameters if key not in ("self", "cls")]
-        words = inspect.cleandoc(code.__doc__ or "")
-        section = words.partition("Args:\n")[2].partition("\n\n")[0]
-        told = {line.strip().partition(":")[0].lstrip("*") for line in section.splitlines()}
-        if missing := [key for key in asked if key not in told]:
-            silent.append(f"{name}: {', '.join(missing)}")
+        code, words = inspect.unwrap(function), function.__doc__ or ""
+        said = told(words, "Args")
+        for key, of in inspect.signature(code).parameters.items():
+            if key not in ("self", "cls"):
+                lacking = unsaid(key, of.annotation, said[key], words) if key in said else ["all"]
+                silent += [f"{name}, {key}: {what}" for what in lacking]
         if re.search(r"\braise \w+Error", inspect.getsource(code)) and "Raises:" not in words:
             silent.append(f"{name}: Raises")
+    assert not silent, "\n".join(silent)
+
+
+def test_a_public_class_says_in_what_unit_and_frame_each_number_is():
+    silent = []
+    for name in keepout.__all__:
+        of = getattr(keepout, name)
+        if inspect.isclass(of) and dataclasses.is_dataclass(of):
+            whole = "\n\n".join(inspect.cleandoc(base.__doc__ or "") for base in of.__mro__)
+            said = {key: text for base in of.__mro__ for key, text in told(base.__doc__ or "", "Attributes").items()}
+            for field in dataclasses.fields(of):
+                lacking = unsaid(field.name, field.type, said.get(field.name, whole), whole)
+                silent += [f"{name}.{field.name}: {what}" for what in lacking]
     assert not silent, "\n".join(silent)

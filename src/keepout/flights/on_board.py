@@ -281,7 +281,7 @@ class OnBoard:
             time: s since the orbit's epoch.
             position: (3,) m, of the chaser relative to the target, body axes.
             velocity: (3,) m/s, likewise.
-            attitude: (4,) body ← VVLH, scalar first; as it was in the last step if left out.
+            attitude: (4,) quaternion body ← VVLH, scalar first; as it was in the last step if left out.
             angular_velocity: (3,) rad/s, of the body, body axes; likewise.
             target_orbit: (6,) ECI position (m) and velocity (m/s), where the setup's motion carries it; likewise.
             samples: instead of all these, of each sensor of the suite, in its order: when it was taken and what arrived

@@ -115,10 +115,11 @@ class Audit:
     """What is known about one flight (metres, seconds, newtons, metres per second; body frame).
 
     `minimum_clearance` is a lower bound on the least distance from the chaser's surface to the mesh, at any instant;
-    `measured_clearance` the least one found, at `minimum_time` and `minimum_position`. `force_excess` and
-    `speed_excess` are the largest amounts by which a limit was passed at a sample (≤ 0: kept). `inconsistent_steps` are
-    the steps whose ends no motion within the bounds joins. `remarks` says, a line each, why a verdict is not a plain
-    "no". `zones` says of each zone and corridor whether it was kept.
+    `measured_clearance` the least one found, at `minimum_time` and `minimum_position`. `largest_force` and
+    `largest_speed` are those of the samples; `force_excess` and `speed_excess` the largest amounts by which a limit
+    was passed at a sample (≤ 0: kept). `inconsistent_steps` are the steps whose ends no motion within the bounds joins.
+    `remarks` says, a line each, why a verdict is not a plain "no". `zones` says of each zone and corridor whether it
+    was kept.
     """
 
     contact: Contact

@@ -171,7 +171,7 @@ class FieldModel:
         Args:
             kind: of the certificate.
             chaser_radius: metres.
-            start: when the proof or the search began, by `time.perf_counter`.
+            start: when the proof or the search began, s of `time.perf_counter`.
             numbers: the certificate's others.
 
         """

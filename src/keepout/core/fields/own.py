@@ -81,10 +81,10 @@ def stated_field(
     """Make a field of a function whose gradient you bound; the bound is tried, not proved.
 
     Args:
-        function: see `FunctionField`.
+        function: from a point (3,) m, body frame, to metres: see `FunctionField`.
         lipschitz: bound of ‖∇f̃‖ everywhere, which you vouch for: what is proved by it is as true as it is.
         lower: corner of the box, m, in which points are drawn to try it.
-        upper: opposite corner.
+        upper: opposite corner, m.
         samples: how many.
         seed: of the points.
 
@@ -117,9 +117,9 @@ def sampled_field(
     """Make a field of a function whose steepest gradient is looked for in a box, and which is named "sampled".
 
     Args:
-        function: see `FunctionField`.
+        function: from a point (3,) m, body frame, to metres: see `FunctionField`.
         lower: corner of the box, m.
-        upper: opposite corner.
+        upper: opposite corner, m.
         allowance: relative, on top of the largest gradient found.
         samples: points drawn.
         seed: of the points.

@@ -166,8 +166,9 @@ _PACKAGES = ("jax", "jaxlib", "equinox", "numpy")
 class FlightRecord:
     """One flight: N rows, one a control step and one at the end, and a header that JSON can hold.
 
-    The arrays are those of `FlightLog`: same names, units and frames. `of_log` fills the header's entries `scenario`,
-    `seed`, `target_sha256`, `statuses`, `final` and `versions`.
+    The arrays are those of `FlightLog`: same names and meaning; s, m, m/s, rad/s, N, kg, in the target's body axes, but
+    for `attitude` (body ← VVLH, scalar first) and `target_orbit` (inertial). `of_log` fills the header's entries
+    `scenario`, `seed`, `target_sha256`, `statuses`, `final` and `versions`.
 
     Raises:
         FlightError: an array of the wrong shape or kind of number.

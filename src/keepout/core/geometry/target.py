@@ -338,7 +338,7 @@ def _one_line(cause: Exception) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A target's surface in its body frame, in metres.
+    """A target's surface: `vertices` (m, body frame), and `faces`, each of three of them.
 
     A point cloud has one degenerate triangle (i, i, i) a point and a positive `ball_radius`: each point is a ball.
     Of the skin of a map, `broken` says what makes it one that nothing is promised of (docs/mapping.md).
