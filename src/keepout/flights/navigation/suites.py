@@ -1,8 +1,12 @@
 """Suites of sensors: three worked ones, which suites are refused, and the navigation that a scenario makes of one.
 
 The worked suites, far, near and close, have typical values: orders of magnitude of what was published, not a data sheet
-of any instrument; docs/motion.md has their sources. Each is a function of what its losses are, so that a flight
-without lost samples and one with them have the same sensors.
+of any instrument. Each is a function of what its losses are, so that a flight without lost samples and one with them
+have the same sensors. The sources are
+
+- of `far`, relative GPS (https://ntrs.nasa.gov/citations/19930013112) and PRISMA (https://doi.org/10.2514/1.23015);
+- of `near`, lidars (https://engineering.usu.edu/ece/cail/software); its range rate has none;
+- of `close`, a flash lidar (https://www.sintef.no/en/publications/publication/2214824), whose values are a fifth.
 """
 
 import math
