@@ -3,6 +3,11 @@
 The certified set is written down again here from the document, apart from the guard's own code: the field over the
 plan's whole tube (sampled densely, on exact distances), and an error from the plan that the rest of the impulse
 response can still hold.
+
+That it is invariant, for no delay (n = 0) and no errors of the estimate (ε = 0): with B_i = D Σ_{l≥i} k(cM^l) let the
+set have the states x and plans z with |cM^i(x − z)| ≤ B_i for all i ≥ 0 and a certified tube about z's braking motion.
+After a step e⁺ = Me + w̃, so |cM^i e⁺| ≤ B_{i+1} + D k(cM^i) = B_i, and the tube about the stepped z is part of the one
+before.
 """
 
 import equinox as eqx
@@ -22,7 +27,7 @@ SILENT = int(GuardFlag.STATE_JUMP | GuardFlag.OFF_PLAN | GuardFlag.FIELD | Guard
 
 
 def remaining_response(guard, terms=400):
-    """β_j of the document for no delay and a perfect estimate: what disturbances may still add to e_r after j steps."""
+    """B_j for the position: what disturbances may still add to e_r after j steps."""
     b, T, D = guard.braking, guard.assumptions.period, guard.assumptions.disturbance
     closed = np.array([[1, T], [0, 1]]) - np.outer([T**2 / 2, T], [b.position_gain, b.velocity_gain])
     powers = [np.eye(2)]
