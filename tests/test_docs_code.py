@@ -33,7 +33,6 @@ QUICKER = {
         ("while True:\n    time.sleep(60)\n", ""),
     ],
     "docs/inspection.md": [
-        ('keepout.inspect("examples/inspect.toml")', 'keepout.inspect("mission.toml")'),
         ('Scenario.load("examples/inspect.toml")', 'Scenario.load("mission.toml")'),
         ("range(3)", "range(1)"),
         ("out/inspect/inspect.parquet", "out/inspect/look.parquet"),
