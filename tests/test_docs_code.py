@@ -27,13 +27,7 @@ QUICKER = {
     "docs/on-board.md": [("examples/approach.toml", "mission.toml")],
     # Its field, instead of one that is learned: the grid of exact distances.
     "docs/python.md": [("keepout.fit(target, certify=True)", "guard_field(target, 0.5)"), ("runs=200", "runs=4")],
-    "docs/campaigns.md": [
-        # A cluster that is not there, and no waiting for it.
-        ("from dask_jobqueue import SLURMCluster", "from unittest.mock import MagicMock as SLURMCluster"),
-        ("while True:\n    time.sleep(60)\n", ""),
-    ],
     "docs/inspection.md": [
-        ('keepout.inspect("examples/inspect.toml")', 'keepout.inspect("mission.toml")'),
         ('Scenario.load("examples/inspect.toml")', 'Scenario.load("mission.toml")'),
         ("range(3)", "range(1)"),
         ("out/inspect/inspect.parquet", "out/inspect/look.parquet"),
