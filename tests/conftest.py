@@ -56,7 +56,7 @@ settings.register_profile(
 settings.register_profile("fixed", parent=settings.get_profile("random"), derandomize=True, max_examples=25)
 settings.load_profile("fixed")
 
-MOST_MEMORY = 1.8e9
+MOST_MEMORY = 2.3e9
 """A process that holds more (bytes) after a test forgets what it compiled: it stays on disk."""
 GROWN = 0.4e9
 """... and does so again once it holds so much more (bytes) than was left."""

@@ -272,19 +272,27 @@ def _meet(triangles, half, met):
     cube's sides, along the triangle's normal, and along the products of their edges.
     """
     last = len(met) - 1
-    axes = np.empty((13, 3))
-    axes[:3] = np.eye(3)
+    axes, edges = np.zeros((13, 3)), np.empty((3, 3))
+    low, high = np.empty(13), np.empty(13)
     for t in range(len(triangles)):
         corners = triangles[t]
         for e in range(3):
-            x, y, z = corners[(e + 1) % 3] - corners[e]
-            axes[3 + 3 * e], axes[4 + 3 * e], axes[5 + 3 * e] = (0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)
-        axes[12] = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-        low, high = np.empty(13), np.empty(13)
+            for axis in range(3):
+                edges[e, axis] = corners[(e + 1) % 3, axis] - corners[e, axis]
+            axes[e, e] = 1.0
+            for axis in range(3):
+                after, before = (axis + 1) % 3, (axis + 2) % 3
+                axes[3 + 3 * e + axis, after], axes[3 + 3 * e + axis, before] = -edges[e, before], edges[e, after]
+        for axis in range(3):
+            after, before = (axis + 1) % 3, (axis + 2) % 3
+            axes[12, axis] = edges[0, after] * edges[1, before] - edges[0, before] * edges[1, after]
         for a in range(13):
-            along = corners @ axes[a]
-            reach = half * np.abs(axes[a]).sum()
-            low[a], high[a] = along.min() - reach, along.max() + reach
+            x, y, z = axes[a, 0], axes[a, 1], axes[a, 2]
+            reach = half * (abs(x) + abs(y) + abs(z))
+            low[a], high[a] = np.inf, -np.inf
+            for corner in range(3):
+                along = corners[corner, 0] * x + corners[corner, 1] * y + corners[corner, 2] * z
+                low[a], high[a] = min(low[a], along - reach), max(high[a], along + reach)
         for i in range(max(int(np.floor(low[0])), 0), min(int(np.floor(high[0])), last) + 1):
             for j in range(max(int(np.floor(low[1])), 0), min(int(np.floor(high[1])), last) + 1):
                 for k in range(max(int(np.floor(low[2])), 0), min(int(np.floor(high[2])), last) + 1):
