@@ -27,14 +27,12 @@ SCENARIO = """\
 
 This page answers whoever writes a scenario file: which entries there are, what each means, and which values it takes.
 
-- A line begins with an entry and its default in TOML (angles rounded), as it stands below the header `[guard]`; `--set`
-  and refusals say `guard.delay`. Units are SI, angles radians. Words that a meaning names as values stand in quotes.
-- A vector is three numbers, in the target's body frame where nothing else is said.
-- A number must be > 0, or ≥ 0 where its default is 0, unless the brackets say otherwise; *any* may be negative.
-- An empty file is valid: it is the source paper's Case 1. An entry without a default is unset, and must be given where
-  the line says *needed*.
-- A header is a table's name, in double brackets that of an array of tables. It, or the sentence below it, leads to the
-  page on the table's use.
+A line begins with an entry and its default in TOML (angles rounded), as below `[guard]`; `--set` and refusals say
+`guard.delay`. An entry without a default is unset, and one that is *needed* must be given. An empty file is valid: the
+source paper's Case 1. Units are SI, angles radians. Places, corners, axes and directions are vectors of three numbers,
+in the target's body frame unless said. Words that are values stand in quotes. A number must be >0, or ≥0 where its
+default is 0, unless the line ends otherwise; *any* may be negative. A table in double brackets may stand several times.
+A header, or the sentence below it, leads to the page on its use.
 """
 SEE = {
     "target": "my-mesh",
@@ -49,8 +47,6 @@ SEE = {
     "navigation": "faults",
     "faults": "faults",
     "[leg]": "approach",
-    "[zone]": "approach",
-    "[corridor]": "approach",
     "approach": "approach",
     "campaign": "campaigns",
     "require": "my-mission.md#require-something",
@@ -63,8 +59,9 @@ SEE = {
     "inspect": "inspection",
 }
 """The page on which a table is used."""
-PLAIN = {"scenario", "target", "field", "chaser", "thrusters", "safety", "guard", "control", "orbit", "navigation"}
-PLAIN |= {"goal", "approach", "rare", "explore", "light", "inspect"}
+PLAIN = {"scenario", "target", "field", "chaser", "thrusters", "[thrusters.own]", "safety", "guard", "control", "orbit"}
+PLAIN |= {"sun", "attitude", "disturbance", "navigation", "start", "goal", "approach", "campaign", "rare"}
+PLAIN |= {"depth_sensor", "map", "explore", "camera", "light", "inspect"}
 """Tables whose names say what they are for."""
 USUAL_AXES = ", body axes"
 """Said once for the page."""
@@ -81,22 +78,18 @@ COMMANDS = """\
 This page answers whoever looks for a command of `keepout`, an option or an exit code. `keepout COMMAND --help` says the
 same, with examples.
 
-| exit code | meaning |
-| --- | --- |
-| 0 | The command did its work. A contact or an audit's verdict is no failure: it stands in the results. |
-| 1 | The command refused, or the work failed. One line on standard error says why, and what would be valid. |
-| 2 | The command line is not valid: an unknown option, or a value out of its range. |
-| 3 | The work is done, and its results do not meet the scenario's `[require]`. |
-| 130 | The command was interrupted. `fit`, `campaign`, `rare` and `reproduce` go on when they are started again. |
+The exit code is 0 if the command did its work, whatever an audit's verdict is; 1 if it refused or failed, for which
+standard error gives the reason; 2 if the command line is not valid; 3 if results do not meet the scenario's
+`[require]`; 130 if it was interrupted. `fit`, `campaign`, `rare` and `reproduce` go on when started again.
 
 ## Common options
 
-An option with `=` takes a value; its default, if it has one, stands behind. `-o` is `--out`. A command's last line
-names those of these options that it has. All have the first two, and all but `scenario schema` have `--json`.
+An option with `=` takes a value; a default stands behind it. `-o` is `--out`. A command's last line names those that it
+has. All have the first three, but `scenario schema` has no `--json`.
 
-- `-q`, `--quiet`: Say nothing but refusals, warnings and requirements that are not met
-- `--log=`: Add all that is said, with times, to this file
-- `--json`: Print one JSON object ([its keys](files.md)) on standard output, and all else on standard error
+- `-q`, `--quiet` Say only refusals, warnings and requirements not met
+- `--log=` Add all that is said, with times, to this file
+- `--json` Print one JSON object ([its keys](files.md)); all else goes to standard error
 """
 LEFT_OUT = {"help", "quiet", "log", "as_json"}
 """Options that every command has."""
@@ -124,12 +117,12 @@ def range_of(spec: Mapping[str, Any]) -> str:
 
 
 def interval(spec: Mapping[str, Any]) -> str:
-    """Give the bounds of a number, as `0 to 8` or `> 0`."""
-    least, most = spec.get("minimum"), spec.get("maximum")
-    if least is not None and most is not None:
-        return f"{number(least)} to {number(most)}"
+    """Give the bounds of a number, as `0 to <1` or `>0`; the words are for both bounds."""
     signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
-    return ", ".join(f"{sign} {number(spec[key])}" for key, sign in signs.items() if key in spec)
+    given = {key: number(spec[key]) for key in signs if key in spec}
+    if len(given) == 2:
+        return " to ".join(signs[key] * key.startswith("exclusive") + bound for key, bound in given.items())
+    return "".join(f"{signs[key]}{bound}" for key, bound in given.items())
 
 
 def number(value: float) -> str:
@@ -153,20 +146,20 @@ def entry_head(name: str, field: FieldInfo) -> str:
 
 
 def values_of(field: FieldInfo, spec: Mapping[str, Any]) -> str:
-    """Give which values an entry takes, in brackets, where nothing else on the page says so."""
+    """Give which values an entry takes, as the end of its line, where nothing else on the page says so."""
     values, said = range_of(spec), field.description or ""
     unset = field.is_required() or field.get_default(call_default_factory=True) is None
     words = [word.strip('`"') for word in values.split(", ")]
-    if unset and values == "> 0":
+    if unset and values == ">0":
         values = ""
     told = values.startswith("`") and all(word in said for word in words)
-    if told or (values in ("vector", "2 numbers", "3 vectors") and not unset):
+    if told or values in ("vector", "2 numbers or 2 vectors") or (values in ("2 numbers", "3 vectors") and not unset):
         values = ""
     if not unset and spec.get("type") in ("integer", "number"):
-        usual = "> 0" if field.get_default() else "≥ 0"
+        usual = ">0" if field.get_default() else "≥0"
         values = "" if values == usual else values
-    values = "; ".join(filter(None, ("needed" if field.is_required() else "", values)))
-    return f" ({values})" if values else ""
+    values = ", ".join(filter(None, ("needed" if field.is_required() else "", values)))
+    return f"; {values}" if values else ""
 
 
 def holds_tables(annotation: Any) -> bool:
@@ -189,7 +182,7 @@ def table_lines(title: str, table: type[Entry]) -> Iterator[str]:
     for (meaning, values), alike in groupby(
         entries, key=lambda entry: (entry[1].description, values_of(entry[1], properties[entry[0]]))
     ):
-        yield f"- {', '.join(entry_head(*entry) for entry in alike)}{values}: {(meaning or '').replace(USUAL_AXES, '')}"
+        yield f"- {', '.join(entry_head(*entry) for entry in alike)} {(meaning or '').replace(USUAL_AXES, '')}{values}"
     yield ""
 
 
@@ -224,15 +217,15 @@ def option_line(option: Any, context: typer.Context) -> str:
     said, _, ending = said.partition("  [")
     said = said.removesuffix(".")
     if isinstance(option, TyperArgument):
-        return f"- `{option.name.upper()}{'…' if option.nargs == -1 else ''}`: {said}"
+        return f"- `{option.name.upper()}{'…' if option.nargs == -1 else ''}` {said}"
     default = ending.removesuffix("]").partition("default: ")[2]
-    notes = ["required"] * ("required" in ending)
+    notes = "; required" * ("required" in ending)
     if option.is_flag:
-        notes += [f"default `--{default}`"] * bool(default)
+        notes += f"; default `--{default}`" * bool(default)
     elif option.metavar is None:
         written = option.opts[-1] + (" X Y Z" if option.nargs == 3 else f"={default}")
     written = written.replace("-o, --out", "-o")
-    return f"- `{written}`" + (f" ({', '.join(notes)})" if notes else "") + f": {said}"
+    return f"- `{written}` {said}{notes}"
 
 
 def commands_page() -> str:
@@ -247,18 +240,22 @@ def commands_page() -> str:
             if option.name not in LEFT_OUT
         }
         placed = [key for key in options if key.removeprefix("--target-") in OF_TARGET]
-        written = [options.pop(key).partition(": ")[0].removeprefix("- ") for key in placed]
+        written = [f"`{options.pop(key).split('`')[1]}`" for key in placed]
         if placed:
-            options["placed"] = f"- {', '.join(written)}: As the entry of this name in [[target]](scenario.md#target)"
+            options["placed"] = f"- {', '.join(written)} As in [[target]](scenario.md#target)"
         described.append((name, " ".join(" ".join(said).split()), options))
     count = Counter(line for *_, options in described for line in options.values())
     shared = [line for line in count if count[line] > (2 if line.startswith("- `-o") else 1)]
     lines = [COMMANDS.rstrip(), *shared, ""]
     for name, said, options in described:
-        common = [f"`{line.split()[1].strip('`:').removesuffix('=')}`" for line in options.values() if line in shared]
+        common = [f"`{line.split()[1].strip('`').removesuffix('=')}`" for line in options.values() if line in shared]
         lines += [f"## {name.removeprefix('keepout ')}", "", said, ""]
-        lines += [line for line in options.values() if line not in shared]
-        lines += [f"- {', '.join(common)}"] * bool(common) + [""]
+        own = [line.removeprefix("- `").partition("` ") for line in options.values() if line not in shared]
+        for told, alike in groupby(own, key=lambda parts: parts[2]):
+            lines.append(f"- {', '.join(f'`{written}`' for written, *_ in alike)} {told}")
+        twin = next((other for other, _, same in described if same == options and len(same) > 2), name)
+        last = f"As `{twin.removeprefix('keepout ')}`" if twin != name else ", ".join(common)
+        lines += [f"- {last}"] * bool(last) + [""]
     return "\n".join(lines).rstrip() + "\n"
 
 

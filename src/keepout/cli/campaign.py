@@ -66,7 +66,7 @@ app.add_typer(campaigns, name="campaign")
 class _Flying:
     """Options on how a campaign is flown."""
 
-    keep: Annotated[str, typer.Option(help="Flights that become files: worst:N, by clearance, all or none.")] = (
+    keep: Annotated[str, typer.Option(help="Flights that become files: worst:N (by clearance), all or none.")] = (
         "worst:20"
     )
     batch: Annotated[
@@ -74,21 +74,21 @@ class _Flying:
     ] = None
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Who flies: local or local:N, processes here; tcp://HOST:PORT, a dask cluster."),
+        typer.Option(help="Who flies: local or local:N (processes), tcp://HOST:PORT (a dask cluster)."),
     ] = None
     mixed_processors: Annotated[
-        bool, typer.Option("--mixed-processors", help="Let processors of several kinds fly, with other last bits.")
+        bool, typer.Option("--mixed-processors", help="Let several kinds of processor fly, with other last bits.")
     ] = False
 
 
 @campaigns.command("fly", epilog=example("keepout campaign examples/case1.toml --runs 1000 -o out/campaign"))
 @grouped
 def campaign(
-    scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) with its [campaign] table.")],
+    scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML).")],
     *,
-    out: Annotated[Path | None, into("Folder of the results, instead of out/NAME/campaign.")] = None,
+    out: Annotated[Path | None, into("Folder of results, instead of out/NAME/campaign.")] = None,
     runs: Annotated[
-        int | None, typer.Option(callback=at_least(1, 10**9), help="Flights, instead of the scenario's number.")
+        int | None, typer.Option(callback=at_least(1, 10**9), help="Instead of the scenario's number.")
     ] = None,
     how: _Flying,
     seed: ScenarioSeed = None,
@@ -96,10 +96,11 @@ def campaign(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Fly a scenario's campaign into a folder; stopped and started again, it goes on.
+    """Fly a scenario's campaign into a folder.
 
-    `keepout campaign SCENARIO` is the same command. With --json, a line of JSON a second says on standard error how far
-    it is.
+    `keepout campaign SCENARIO` is the same. With --json, lines of JSON on standard error tell its progress.
+
+    A killed run goes on when started again.
 
     Exit code 3: too few runs meet a requirement of the scenario's [require].
     """
@@ -160,10 +161,10 @@ def _begun(out: Path, plan: "Plan", *, force: bool) -> "Dataset":
 
 @campaigns.command("report", epilog=example("keepout campaign report out/campaign"))
 def report(
-    folder: Annotated[Path, typer.Argument(help="The folder of a campaign.")],
+    folder: Annotated[Path, typer.Argument(help="Of a campaign.")],
     as_json: AsJson = False,
 ) -> None:
-    """Write a campaign's page, figures and CSV files anew: rates, distributions, what matters, the worst flights."""
+    """Write a campaign's page, figures and CSV files anew."""
     from keepout.flights.pages.campaign_page import report_campaign
 
     with terminal.progress(f"report {folder.name}") as progress:
@@ -173,9 +174,9 @@ def report(
 
 @campaigns.command("compare", epilog=example("keepout campaign compare out/guarded out/unguarded -o out/compared"))
 def compare(
-    first: Annotated[Path, typer.Argument(help="The folder of a finished campaign.")],
-    second: Annotated[Path, typer.Argument(help="Another one.")],
-    out: Annotated[Path | None, into("Also write page, figures and CSV files into this folder.")] = None,
+    first: Annotated[Path, typer.Argument(help="Its folder.")],
+    second: Annotated[Path, typer.Argument(help="Its folder.")],
+    out: Annotated[Path | None, into("Folder for page, figures and CSV.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare two finished campaigns: rates, quantiles, and run by run where both drew the same."""
@@ -189,13 +190,13 @@ def compare(
 
 @campaigns.command("replay", epilog=example("keepout campaign replay out/campaign --run 47"))
 def replay_run(
-    folder: Annotated[Path, typer.Argument(help="The folder of a campaign.")],
-    run: Annotated[int, typer.Option(callback=at_least(0), help="Number of the run in the table.")],
-    out: Annotated[Path | None, into("Folder to write, instead of run-N in the campaign's.")] = None,
+    folder: Annotated[Path, typer.Argument(help="Of a campaign.")],
+    run: Annotated[int, typer.Option(callback=at_least(0), help="Its number in the table.")],
+    out: Annotated[Path | None, into("Folder, instead of run-N in the campaign's.")] = None,
     figures: Annotated[bool, typer.Option(help="Draw figures and the page.")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Fly one run of a campaign again, to the same bits; write its flight file, figures and page."""
+    """Fly one run of a campaign again, to the same bits, into a folder."""
     from keepout.core.mission.scenario import Scenario
     from keepout.flights.campaign.dataset import Dataset, differences
     from keepout.flights.campaign.flying import replay

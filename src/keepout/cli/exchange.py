@@ -33,16 +33,10 @@ if TYPE_CHECKING:
 class _Wanted:
     """Options on what a format writes."""
 
-    craft: Annotated[str | None, typer.Option("--of", help="The craft of an OEM: chaser (if not given) or target.")] = (
-        None
-    )
-    xml: Annotated[
-        bool, typer.Option("--xml", help="Write OEM or AEM as XML; a file that ends in .xml is XML anyway.")
-    ] = False
-    chaser_radius: Annotated[float | None, from_zero("Radius of the certificate that is meant, m.")] = None
-    mesh: Annotated[str | None, typer.Option(help="The mesh for a GLB, where it is not where flight or field say.")] = (
-        None
-    )
+    craft: Annotated[str | None, typer.Option("--of", help="Whose OEM: chaser (if not given) or target.")] = None
+    xml: Annotated[bool, typer.Option("--xml", help="Write XML, as into a file that ends in .xml.")] = False
+    chaser_radius: Annotated[float | None, from_zero("Of the certificate meant, m.")] = None
+    mesh: Annotated[str | None, typer.Option(help="The mesh for a GLB, if it is not where flight or field say.")] = None
 
 
 @app.command(
@@ -58,14 +52,14 @@ def export(
     *,
     to: Annotated[
         str,
-        typer.Option(help="Of a flight oem, aem, czml, csv, parquet, npz, glb; of a field onnx, glb; of a mission c."),
+        typer.Option(help="oem, aem, czml, csv, parquet, npz, glb of a flight; onnx, glb of a field; c of a mission."),
     ],
     out: Annotated[Path, into("The file to write; of flight code the folder.")],
     wanted: _Wanted,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Write a flight or a field for other programs, with its frames and units stated, or a mission's flight code."""
+    """Write a flight, a field or a mission's flight code for other programs."""
     from keepout.flights.exchange.export import Export
 
     if source.suffix != ".toml":
@@ -86,37 +80,31 @@ class _Given:
 
     chaser: Annotated[Path, typer.Option(help="OEM of the chaser's centre.")]
     target_orbit: Annotated[Path, typer.Option(help="OEM of the target's centre of mass.")]
-    chaser_radius: Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")]
+    chaser_radius: Annotated[float, from_zero("Of the ball that holds the chaser, m.")]
     acceleration_bound: Annotated[
         float,
-        from_zero("Bound on the chaser's inertial acceleration relative to the target, of all causes, m/s²."),
+        from_zero("Of the chaser relative to the target, inertial, of all causes, m/s²."),
     ]
     target_attitude: Annotated[Path | None, typer.Option(help="AEM of the target.")] = None
-    target_fixed_in: Annotated[
-        str | None, typer.Option(help="The body's axes without an AEM: vvlh (if not given) or inertial.")
-    ] = None
+    target_fixed_in: Annotated[str | None, typer.Option(help="Without an AEM: vvlh (if not given) or inertial.")] = None
     turning_acceleration_bound: Annotated[
         float | None,
-        from_zero("Bound on the target's angular acceleration, rad/s², instead of one measured."),
+        from_zero("Of the target, rad/s², instead of one measured."),
     ] = None
     centre_of_mass: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="The target's centre of mass, body axes, m, if not the scenario's, or 0 0 0."),
+        typer.Option(help="Of the target, body axes, m, if not the scenario's or 0 0 0."),
     ] = None
-    chaser_object: Annotated[
-        str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that the chaser's OEM must have.")
-    ] = None
-    target_object: Annotated[
-        str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that the target's OEM must have.")
-    ] = None
+    chaser_object: Annotated[str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that its OEM must have.")] = None
+    target_object: Annotated[str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that its OEM must have.")] = None
     attitude_object: Annotated[
-        str | None, typer.Option(help="The AEM's name of the target, if not that of its OEM.")
+        str | None, typer.Option(help="The target's name in the AEM, if not that of its OEM.")
     ] = None
     attitude_frame: Annotated[
-        str | None, typer.Option(help="The AEM's name of the body's frame, if not SC_BODY or SC_BODY_1.")
+        str | None, typer.Option(help="The body frame's name there, if not SC_BODY or SC_BODY_1.")
     ] = None
-    sample_error: Annotated[float, from_zero("Error of a relative position, m, if more than of its digits.")] = 1e-6
-    attitude_error: Annotated[float, from_zero("Error of an attitude, rad, if more than of its digits.")] = 0.0
+    sample_error: Annotated[float, from_zero("Of relative positions, m, if more than of their digits.")] = 1e-6
+    attitude_error: Annotated[float, from_zero("Of attitudes, rad, if more than of their digits.")] = 0.0
 
 
 @dataclass(frozen=True)
@@ -165,14 +153,14 @@ class _Placed:
 def audit(
     target: Annotated[
         str,
-        typer.Option(help="A mesh file, a built-in target, or a scenario (.toml), whose [target] it is."),
+        typer.Option(help="A mesh file, a built-in target, or a scenario's (.toml)."),
     ],
     given: _Given,
     placed: _Placed,
     settings: Settings = None,
     as_json: AsJson = False,
 ) -> None:
-    """Bound the clearance of any flight, between its samples too, on the exact mesh: from OEM and AEM files.
+    """Bound the clearance of a flight told by OEM and AEM files, between its samples too, on the exact mesh.
 
     Exit code 0 whatever the verdict is: it is in the answer.
     """

@@ -72,16 +72,16 @@ add_mission_command(
     )
 )
 def replay(
-    flights: Annotated[list[Path], typer.Argument(help="Flight files (.parquet, .npz), all around one target.")],
+    flights: Annotated[list[Path], typer.Argument(help="Flight files (.parquet, .npz) around one target.")],
     out: Annotated[Path, into("The page to write (.html).")] = Path("replay.html"),
-    title: Annotated[str | None, typer.Option(help="The page's title, instead of the first flight's name.")] = None,
+    title: Annotated[str | None, typer.Option(help="Instead of the first flight's name.")] = None,
     video: Annotated[
         Path | None,
-        typer.Option(help="Also film it: .mp4, .gif, .webp, or .png (pictures in a row); needs Chromium."),
+        typer.Option(help="Also film it, with Chromium: .mp4, .gif, .webp, or .png (pictures in a row)."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write flights as one page to watch them in any browser, offline: the target, its envelope, paths and plots."""
+    """Write flights as one page for any browser, offline: target, envelope, paths, plots."""
     with terminal.progress("replay") as progress:
         from keepout.verbs import files
 
@@ -91,12 +91,12 @@ def replay(
 
 @app.command(epilog=example("keepout report out/case1 --pdf", "keepout report out/campaign --pdf -o campaign.pdf"))
 def report(
-    folder: Annotated[Path, typer.Argument(help="The folder of fly, explore, inspect or campaign.")],
-    pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF; else a campaign's page is written anew.")] = False,
-    out: Annotated[Path | None, into("The PDF to write, instead of report.pdf in that folder.")] = None,
+    folder: Annotated[Path, typer.Argument(help="Of fly, explore, inspect or campaign.")],
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF; else write a campaign's page anew.")] = False,
+    out: Annotated[Path | None, into("The PDF, instead of report.pdf in that folder.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print what was flown as four pages: mission and assumptions, what is proved, what was flown, requirements."""
+    """Print four pages: mission and assumptions, what is proved, what was flown, requirements."""
     if not pdf:
         if out is not None or not (folder / "campaign.json").exists():
             raise UsageError(
@@ -117,14 +117,14 @@ def report(
 
 @app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))
 def rare(
-    scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) in which something is random.")],
-    out: Annotated[Path | None, into("Folder of the results, instead of out/NAME/rare.")] = None,
+    scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML).")],
+    out: Annotated[Path | None, into("Folder of results, instead of out/NAME/rare.")] = None,
     below: Annotated[float, typer.Option(callback=at_least(-math.inf), help="The clearance, m; 0 is contact.")] = 0.0,
-    runs: Annotated[int, typer.Option(callback=at_least(2), help="Repetitions whose spread gives the interval.")] = 8,
+    runs: Annotated[int, typer.Option(callback=at_least(2), help="Repetitions; their spread gives the interval.")] = 8,
     flights: Annotated[
-        int, typer.Option(callback=at_least(64, multiple_of=8), help="Flights of each level and run; a multiple of 8.")
+        int, typer.Option(callback=at_least(64, multiple_of=8), help="Flights a level and run; a multiple of 8.")
     ] = 1024,
-    quick: Annotated[bool, typer.Option("--quick", help="256 flights of each level and run: a rough answer.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="256 such flights: a rough answer.")] = False,
     seed: ScenarioSeed = None,
     settings: Settings = None,
     force: Force = False,
@@ -156,19 +156,18 @@ def reproduce(
     experiments: Annotated[
         list[str], typer.Argument(help="all, or any of table1, surfaces, volumes, case1, case2, runtime, case3.")
     ],
-    out: Annotated[Path, into("Folder of the results.")] = Path("out/reproduce"),
+    out: Annotated[Path, into("Folder of results.")] = Path("out/reproduce"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer flights, shipped fields: minutes.")] = False,
     fields: Annotated[
         Path | None,
-        typer.Option(help="Folder of fields of the paper's network: benchmarks/results/fields."),
+        typer.Option(help="Folder of these networks, as benchmarks/results/fields."),
     ] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Repeat the source paper's tables, figures and flights, with Keepout's own answers beside them.
+    """Repeat the source paper's tables, figures and flights, beside Keepout's own.
 
-    The full run takes hours: it fits the paper's network, about an hour for each of three targets, unless --fields
-    names its fields.
+    The full run takes hours; --fields saves the fits of the paper's network, about an hour a target.
 
     A killed run goes on where it was.
     """

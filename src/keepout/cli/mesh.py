@@ -28,18 +28,18 @@ from keepout.flights.pages import terminal
 if TYPE_CHECKING:
     from keepout.core.mission.entries import TargetEntry
 
-Mesh = Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target.")]
-WhereMesh = Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")]
+Mesh = Annotated[str, typer.Argument(help="A mesh file, a map (.keepmap), or a built-in target.")]
+WhereMesh = Annotated[str | None, typer.Option(help="The mesh, if it is not where `fit` found it.")]
 DrawnInto = Annotated[Path | None, into("Also draw it into this folder.")]
 
 
 @app.command(epilog=example("keepout targets", "keepout targets --pictures out/targets"))
 def targets(
-    pictures: Annotated[Path | None, typer.Option(help="Also draw each target into this folder.")] = None,
+    pictures: Annotated[Path | None, typer.Option(help="Also draw them into this folder.")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """List the built-in targets: extents, volume, triangles, parameters."""
+    """List the built-in targets, with sizes and parameters."""
     with terminal.progress("targets") as progress:
         rows = describe_targets(pictures, progress)
     answer({"targets": rows, "seed": seed}, as_json, terminal.targets_table(rows))
@@ -111,22 +111,22 @@ def fit(
     profile: Annotated[
         str,
         typer.Option(
-            help="default; fine (twice the steps); quick (rough); paper, the source paper's network and loss; "
-            "paper_printed, with the loss as printed."
+            help="default, fine (twice the steps), quick (rough), paper (its network, its loss), "
+            "paper_printed (its loss as printed)."
         ),
     ] = "default",
     batch: Annotated[int | None, typer.Option(help="Points a step, instead of the profile's.")] = None,
     chaser_radius: ChaserRadius = 0.5,
-    certify: Annotated[bool, typer.Option("--certify", help="Then prove its error bound, as `certify` does.")] = False,
+    certify: Annotated[bool, typer.Option("--certify", help="Then `certify` it.")] = False,
     first: Annotated[
         Path | None,
-        typer.Option("--from", help="Begin with the field of a mesh that differs little: less than half the time."),
+        typer.Option("--from", help="Begin with the field of a similar mesh: less than half the time."),
     ] = None,
     until_bound: Annotated[
         float | None,
-        typer.Option(help="End once no over-statement above this is found, m; the proved bound is some mm above."),
+        typer.Option(help="End once no over-statement above this is found, m; the proved bound is some mm more."),
     ] = None,
-    at_most: Annotated[float | None, typer.Option(help="End after about this time, s, without the proof.")] = None,
+    at_most: Annotated[float | None, typer.Option(help="End after about this time, s, the proof not counted.")] = None,
     read: MeshFile,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -188,21 +188,21 @@ def _fitted(entry: "TargetEntry", out: Path, settings: Mapping[str, Any], progre
     )
 )
 def certify(
-    field: Annotated[Path, typer.Argument(help="A field file (.keepout); the certificate is added to it.")],
+    field: Annotated[Path, typer.Argument(help="A field file (.keepout), which gets the certificate.")],
     chaser_radius: ChaserRadius = 0.5,
     prove_slope: Annotated[bool, typer.Option("--prove-slope", help="Prove a bound of ‖∇f̃‖ too: minutes.")] = False,
     check: Annotated[
         bool,
         typer.Option(
             "--check",
-            help="Add nothing: prove every certificate of the file again. Exit code 1: not proved.",
+            help="Only prove the file's certificates again; exit code 1: not proved.",
         ),
     ] = False,
     mesh: WhereMesh = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Bound how far the field can over-state the distance where a chaser of this radius would touch."""
+    """Bound how far the field can over-state the distance where this chaser would touch."""
     if check and prove_slope:
         raise typer.BadParameter("--prove-slope adds a proof; --check proves what the file says and adds none")
     if not check:
@@ -305,10 +305,10 @@ def _checked(path: Path, mesh: str | None, seed: int, progress: Progress) -> dic
     )
 )
 def measure(
-    field: Annotated[str, typer.Argument(help="A field file (.keepout); with --shipped, a built-in target.")],
+    field: Annotated[str, typer.Argument(help="A field file (.keepout), or with --shipped a built-in target.")],
     out: DrawnInto = None,
     mesh: WhereMesh = None,
-    shipped: Annotated[bool, typer.Option("--shipped", help="Measure the field that comes with the package.")] = False,
+    shipped: Annotated[bool, typer.Option("--shipped", help="Take the package's field.")] = False,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:

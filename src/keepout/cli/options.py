@@ -61,11 +61,11 @@ def into(help: str) -> Any:
 
 
 _SEED = at_least(0, 2**32 - 1)
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output; all else on standard error.")]
-Seed = Annotated[int, typer.Option(callback=_SEED, help="Seed of every random choice: the same seed, the same answer.")]
-ScenarioSeed = Annotated[int | None, typer.Option(callback=_SEED, help="Replaces the scenario's own seed.")]
-Units = Annotated[str | None, typer.Option(help="Length unit of a mesh file: m, cm, mm, in or ft.")]
-ChaserRadius = Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object; all else goes to standard error.")]
+Seed = Annotated[int, typer.Option(callback=_SEED, help="Of every random choice.")]
+ScenarioSeed = Annotated[int | None, typer.Option(callback=_SEED, help="Instead of the scenario's seed.")]
+Units = Annotated[str | None, typer.Option(help="Of a mesh file: m, cm, mm, in or ft.")]
+ChaserRadius = Annotated[float, from_zero("Of the ball that holds the chaser, m.")]
 
 
 def _taking(of: Callable[..., None], options: Iterable[inspect.Parameter]) -> Callable[..., None]:
@@ -97,7 +97,7 @@ class MeshFile:
     """Options on how a mesh file is read."""
 
     units: Units = None
-    scale: Annotated[float | None, typer.Option(help="Metres per unit of a mesh file, instead of --units.")] = None
+    scale: Annotated[float | None, typer.Option(help="Metres per unit, instead of --units.")] = None
     drop_stray: Annotated[bool, typer.Option("--drop-stray", help="Leave out parts far from the rest.")] = False
 
     def entry(self, mesh: str) -> "TargetEntry":
@@ -177,11 +177,11 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="ENTRY=VALUE",
-        help="Replaces an entry of the scenario, as chaser.mass=25; as often as wanted.",
+        help="Replace an entry, as chaser.mass=25; as often as wanted.",
     ),
 ]
 Figures = Annotated[bool, typer.Option(help="Draw figures and the page.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace what another mission left in the folder.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace another mission's results.")]
 _MISSION = "mission.json"
 """In a folder of results: what was flown into it, by which command, from which file."""
 _OF_A_CAMPAIGN = ("campaign.json", "flights", "bands", "kept", "report", "bands.json", "summary.json")
@@ -342,7 +342,7 @@ def add_mission_command(to: typer.Typer, name: str, of: terminal.MissionCommand)
 
     def command(
         scenario: Annotated[Path, typer.Argument(help=of.scenario)],
-        out: Annotated[Path | None, into("Folder of the results, instead of out/NAME, by the scenario's name.")] = None,
+        out: Annotated[Path | None, into("Folder of results, instead of out/NAME of the scenario.")] = None,
         figures: Figures = True,
         seed: ScenarioSeed = None,
         settings: Settings = None,
@@ -387,7 +387,7 @@ def _heard(command: Callable[..., None]) -> Callable[..., None]:
     def options(
         *,
         quiet: Annotated[
-            bool, typer.Option("--quiet", "-q", help="Say nothing but refusals, warnings and what is not met.")
+            bool, typer.Option("--quiet", "-q", help="Say only refusals, warnings and requirements not met.")
         ] = False,
         log: Annotated[Path | None, typer.Option(help="Add all that is said, with times, to this file.")] = None,
     ) -> None: ...

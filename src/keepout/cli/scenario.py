@@ -39,14 +39,14 @@ app.add_typer(scenarios, name="scenario")
 @grouped
 def new_scenario(
     *,
-    out: Annotated[Path | None, into("The file to write (.toml), instead of standard output.")] = None,
+    out: Annotated[Path | None, into("The .toml to write, instead of standard output.")] = None,
     target: Annotated[
-        str | None, typer.Option("--for", help="A mesh file, or a built-in target, whose sizes to fill in.")
+        str | None, typer.Option("--for", help="A mesh file or built-in target, to fill in its sizes.")
     ] = None,
-    profile: Annotated[str, typer.Option(help="The control law's profile: default or paper.")] = "default",
+    profile: Annotated[str, typer.Option(help="Of the control law: default or paper.")] = "default",
     approach: Annotated[
         bool,
-        typer.Option("--approach", help="Lead from hold point to hold point, with a keep-out sphere and a corridor."),
+        typer.Option("--approach", help="Lead over hold points, with a keep-out sphere and a corridor."),
     ] = False,
     read: MeshFile,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
@@ -54,7 +54,7 @@ def new_scenario(
 ) -> None:
     """Write a scenario that explains itself: every entry with its meaning, unit and default.
 
-    With --for it has a start and a goal outside the target, a speed that the thrusters honour, and enough time.
+    With --for it has a free start and goal, a speed that the thrusters honour, and enough time.
     """
     given = {key: value for key, value in {"source": target, **vars(read)}.items() if value}
     with terminal.progress("scenario new") as progress:
@@ -115,9 +115,9 @@ def check_scenario(
     settings: Settings = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a scenario would fly, without flying it: conditions, time, Δv, and what would be refused.
+    """Say what a scenario would fly: conditions, time, Δv.
 
-    Where it would be refused, it looks for the nearest values that would not, and the exit code is 1.
+    If it would be refused, give the nearest values that would not be, with exit code 1.
     """
     with terminal.progress(f"check {scenario.name}") as progress:
         mission = mission_of(scenario, None, settings)  # before what checks it is imported, which takes seconds
@@ -131,9 +131,9 @@ def check_scenario(
 
 @scenarios.command("schema", epilog=example("keepout scenario schema -o keepout.schema.json"))
 def schema_of_scenarios(
-    out: Annotated[Path | None, into("The file to write (.json), instead of standard output.")] = None,
+    out: Annotated[Path | None, into("The .json to write, instead of standard output.")] = None,
 ) -> None:
-    """Write the JSON Schema of scenarios, by which editors complete and check them."""
+    """Write the JSON Schema of scenarios, for editors to complete and check them."""
     from keepout.core.mission.scenario import schema
     from keepout.core.whole_file import require_place, write_whole
 

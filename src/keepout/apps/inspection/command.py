@@ -53,9 +53,9 @@ def _table(summary: dict[str, Any]) -> Table:
 
 
 INSPECT = MissionCommand(
-    help="See all of a target that can be seen, in light, without touching it; audit the flight on the exact mesh.",
+    help="See all of a target that can be seen and lit, without touching it; audit the flight on the exact mesh.",
     example="keepout inspect examples/inspect.toml -o out/inspect",
-    scenario="A scenario file (TOML), with [camera], [light], [inspect] as needed.",
+    scenario="A scenario file (TOML).",
     fly=inspect_to_folder,
     table=_table,
     check=require_mission,

@@ -33,10 +33,9 @@ def _table(summary: dict[str, Any]) -> Table:
 
 
 EXPLORE = MissionCommand(
-    help="Fly round a target that nobody has a model of: map what is seen free, approach in it, audit on the true "
-    "mesh.",
+    help="Fly round a target without a model: map what is seen free, approach in it, audit on the true mesh.",
     example="keepout explore examples/explore.toml -o out/explore",
-    scenario="A scenario file (TOML) with [map], and [depth_sensor], [explore] as needed.",
+    scenario="A scenario file (TOML).",
     fly=explore_to_folder,
     table=_table,
 )

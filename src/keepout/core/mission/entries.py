@@ -113,16 +113,15 @@ class TargetEntry(Entry):
     """The spacecraft that is flown around.
 
     Attributes:
-        source: A built-in target (`keepout targets`), or a mesh, point cloud or .keepmap, by its path from the
-            scenario.
-        units: Length unit of the file; unset: metres, or what the file says.
-        scale: Metres per unit of the file, in place of `units`.
-        drop_stray: Whether parts far from the rest are left out.
-        thickness: Diameter of the ball at each point of a point cloud, m; needed there.
-        rotation: Rows of the rotation from file axes to body axes.
-        origin: The body frame's origin in file axes, m.
+        source: A built-in target (`keepout targets`) or a mesh, point cloud or .keepmap, by path from the scenario.
+        units: Of the file: m, cm, mm, in or ft; unset: metres, or as it says.
+        scale: Metres per unit, instead of `units`.
+        drop_stray: Leave out parts far from the rest.
+        thickness: Diameter of the ball at each point of a cloud, m; needed there.
+        rotation: From file axes to body axes, by rows.
+        origin: Of the body frame in file axes, m.
         centre_of_mass: Its place, body axes, m: it orbits, and the target turns about it.
-        parameters: Numbers of a built-in target, such as its wings' angle.
+        parameters: Of a built-in target, such as its wings' angle.
 
     """
 
@@ -156,10 +155,10 @@ class ChaserEntry(Entry):
     """The chaser: a ball of `radius`.
 
     Attributes:
-        mass: Mass that law and guard count with, kg.
-        radius: Of the ball that holds the whole chaser, m.
-        force_limit: Largest force along each body axis, N.
-        speed_limit: Largest speed relative to the target, m/s.
+        mass: As law and guard know it, kg.
+        radius: Of the ball that holds all of it, m.
+        force_limit: Along each body axis, N.
+        speed_limit: Relative to the target, m/s.
 
     """
 
@@ -173,7 +172,7 @@ class SafetyEntry(Entry):
     """Room that is kept to the target.
 
     Attributes:
-        margin: The operator's own margin beside what is proved, m.
+        margin: The operator's own, beside what is proved, m.
 
     """
 
@@ -184,12 +183,12 @@ class GuardEntry(Entry):
     """The guard, and what its theorem may assume.
 
     Attributes:
-        enabled: Whether the guard flies along.
+        enabled: The guard flies along.
         position_error, velocity_error: Largest error of the estimate, m, m/s.
         mass_error: Largest relative error of `chaser.mass`.
-        gain_error: Largest relative error of the thrusters' force.
-        keeps_margin: Whether the theorem keeps `safety.margin` too.
-        delay: Control periods from a command to its effect; the law predicts its state over them.
+        gain_error: Largest relative error of thrusters' force.
+        keeps_margin: The theorem keeps `safety.margin` too.
+        delay: Control periods from a command to its effect; the law predicts over them.
 
     """
 
@@ -203,25 +202,24 @@ class GuardEntry(Entry):
 
 
 class FaultsEntry(Entry):
-    """Errors and failures, drawn from `seed`; law and guard know only what `guard` says of them.
+    """Errors and failures; law and guard know only what `guard` says of them.
 
     Attributes:
-        law: In the law's place: full thrust into the body; straight through to the goal at twice the speed limit;
-            random forces; bang-bang, full thrust in random corners for 15 periods; not a number in every 15th command;
-            none.
-        position_bias, velocity_bias: Length of a constant error of the estimate, in a random direction, m, m/s.
-        position_noise, velocity_noise: Largest error of the estimate, drawn anew each period, m, m/s.
-        position_noise_std, velocity_noise_std: Standard deviation of an unbounded Gaussian error of each axis, m, m/s.
-        noise_correlation_time: Time in which Gaussian errors fall to 1/e, s; 0: new ones each period.
-        delay: True delay from a command to its effect, control periods.
-        dropped: Probability that a command is lost and the last one goes on.
-        gain_error: Each axis gives 1 ± this times its command, drawn once a flight.
-        stuck: The ideal thruster that sticks, by the direction of its push.
+        law: In the law's place: full thrust into the body; through to the goal at twice the speed limit; random forces;
+            bang-bang, full thrust in a random corner for 15 periods; not a number in every 15th command; none.
+        position_bias, velocity_bias: Constant error of the estimate, direction random, m, m/s.
+        position_noise, velocity_noise: Largest error of the estimate, new each period, m, m/s.
+        position_noise_std, velocity_noise_std: Standard deviation of unbounded Gaussian errors of each axis, m, m/s.
+        noise_correlation_time: Gaussian errors fall to 1/e in it, s; 0: new each period.
+        delay: True delay of commands, control periods.
+        dropped: Probability that a command is lost and the last goes on.
+        gain_error: Largest relative error of an axis' force, drawn once a flight.
+        stuck: Ideal thruster that sticks, by its push: +x, -x, +y, -y, +z or -z.
         stuck_force: Force of a stuck ideal thruster, N: 0 is off, chaser.force_limit on.
         stuck_from: When a thruster sticks, s.
-        abort_at: When the mission is abandoned as `approach.abort` says, s; unset: never.
-        thruster: The thruster of a layout that sticks, counted from 0.
-        thruster_stuck: Whether `thruster` sticks on or off.
+        abort_at: When the chaser gets away as `approach.abort` says, s; unset: never.
+        thruster: Thruster of a layout that sticks, counted from 0.
+        thruster_stuck: It sticks on or off.
 
     """
 
@@ -253,13 +251,13 @@ class FaultsEntry(Entry):
 
 
 class PaperEntry(Entry):
-    """Numbers that the paper does not print; only for `control.profile = "paper"`.
+    """Only for `control.profile = "paper"`: what the paper does not print.
 
     Attributes:
         slowing_length: k_p of the desired velocity v_max tanh(r_e/k_p), by component, m.
         sharpness: ε of the smooth safety filter.
-        position_weight: The Lyapunov function's H₀ is this times the identity.
-        gradient_error: Error e_∇h of the field's gradient; above 0 the barrier row becomes a cone.
+        position_weight: H₀ is this times the identity.
+        gradient_error: e_∇h; above 0 the barrier row becomes a cone.
 
     """
 
@@ -273,13 +271,12 @@ class ControlEntry(Entry):
     """The control law.
 
     Attributes:
-        profile: default, the recommended law, or paper, the paper's with its constants.
+        profile: default, or paper, the paper's law with its constants.
         period: Time between control steps, s.
-        guidance: geodesic, along the shortest free way, or straight; unset: geodesic, in profile paper straight.
-        spacing: Of the geodesic guidance's grid, m; unset: by the room and the zone's width.
-        circulation: The paper's: none, printed, made skew, or switching; unset: none, in profile paper printed.
-        observer: Of the disturbance: harmonic, constant, the paper's printed, or off; unset: harmonic, in profile paper
-            printed.
+        guidance: geodesic, along the shortest free way, or straight; unset: geodesic (paper: straight).
+        spacing: Of the geodesic grid, m; unset: by the room and the zone's width.
+        circulation: none, printed, skew, or switching; unset: none (paper: printed).
+        observer: Of the disturbance: harmonic, constant, printed, or off; unset: harmonic (paper: printed).
 
     """
 
@@ -304,12 +301,12 @@ class OrbitEntry(Entry):
     """The target's orbit about the Earth.
 
     Attributes:
-        semi_major_axis: In m; the perigee radius must be at least 6.4e6.
+        semi_major_axis: In m; perigee radius at least 6.4e6.
         eccentricity: 0 is a circle.
         true_anomaly: At the start, rad.
-        inclination, right_ascension, argument_of_perigee: In ECI (right ascension of the node), rad; they matter with
-            j2, drag, sun, inertial zones and in exports.
-        j2: Whether the Earth's oblateness bends both orbits.
+        inclination, right_ascension, argument_of_perigee: In ECI, rad (right ascension of the node); matter with j2,
+            drag, sun, inertial zones, exports.
+        j2: Oblateness bends both orbits.
 
     """
 
@@ -328,12 +325,12 @@ class OrbitEntry(Entry):
 
 
 class DragEntry(Entry):
-    """Drag of both craft in an exponential atmosphere that turns with the Earth.
+    """Drag of both craft; the exponential atmosphere turns with the Earth.
 
     Attributes:
-        density: Of the air at `altitude`, kg/m3; 0: no drag.
-        altitude: Altitude of that density above the equatorial radius, m.
-        scale_height: Height over which the density falls to 1/e, m.
+        density: Of the air at `altitude`, kg/m3.
+        altitude: Above the equatorial radius, m.
+        scale_height: Over which the density falls to 1/e, m.
         target_area_to_mass, chaser_area_to_mass: Drag coefficient × area / mass, m2/kg.
 
     """
@@ -350,7 +347,7 @@ class SunEntry(Entry):
 
     Attributes:
         direction: From Earth to sun, ECI, any length; unset: as at `epoch`.
-        target_area_to_mass, chaser_area_to_mass: Radiation pressure coefficient × area / mass, m2/kg; 0: no push.
+        target_area_to_mass, chaser_area_to_mass: Radiation pressure coefficient × area / mass, m2/kg.
 
     """
 
@@ -367,10 +364,10 @@ class AttitudeEntry(Entry):
     """How the target turns; all but `kind` is for tumbling.
 
     Attributes:
-        kind: Fixed to vvlh or inertial axes, or tumbling freely.
+        kind: Fixed to vvlh or inertial axes, or tumbling freely, which the others are for.
         angular_velocity: Inertial, at the start, body axes, rad/s.
         inertia: Of the target, body axes, kg m2.
-        gravity_gradient: Whether the Earth's gravity turns the target.
+        gravity_gradient: The Earth's gravity turns the target.
 
     """
 
@@ -392,10 +389,10 @@ class DisturbanceEntry(Entry):
     Attributes:
         kind: none; paper, 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; constant; bang-bang, changing sign every 50 s;
             resonant, at every control step; random, smooth noise.
-        force: The force that `constant` needs, N.
-        amplitude: Largest norm, N; `bang-bang`, `resonant` and `random` need it.
-        phase: Added to that of every sinusoid, or lead of the square wave, 2π a period, rad.
-        bound: Largest force that law and guard may assume, N; unset: the true bound.
+        force: Vector that constant needs, N.
+        amplitude: Largest norm, N; bang-bang, resonant and random need it.
+        phase: Added to every sinusoid's, or lead of the square wave, 2π a period, rad.
+        bound: Largest that law and guard assume, N; unset: the true one.
 
     """
 
@@ -421,7 +418,7 @@ class StateEntry(Entry):
     """The chaser at the start, relative to the target, body axes.
 
     Attributes:
-        position, velocity: Of the chaser's centre, m, m/s.
+        position, velocity: Of the chaser's centre, relative to the target, m, m/s.
 
     """
 
@@ -434,7 +431,7 @@ class GoalEntry(Entry):
 
     Attributes:
         position: The place, body axes, m; legs give it where there are any.
-        tolerance: The goal is reached when the chaser stays this near to it, m.
+        tolerance: The chaser reaches it by staying this near, m.
 
     """
 
@@ -448,7 +445,7 @@ class ThrusterEntry(Entry):
     Attributes:
         position: From the chaser's centre of mass, m.
         direction: Of the force on the chaser, any length.
-        force: While the thruster is on, N; unset: `thrusters.force`.
+        force: While it is on, N; unset: `thrusters.force`.
 
     """
 
@@ -467,17 +464,17 @@ class ThrustersEntry(Entry):
     Attributes:
         layout: ideal: any force up to chaser.force_limit an axis, at once; six, 12, 24: one, two or four on/off
             thrusters a direction; own: those of `own`.
-        held_in: Axes in which ideal thrusters hold a force: the target's, or inertial ones.
+        held_in: Axes in which ideal thrusters hold a force: target or inertial.
         own: The thrusters of a layout of your own.
-        force: Of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
+        force: Of each thruster, N; unset: chaser.force_limit divided by the thrusters a direction.
         least_on_time: Shortest pulse, s; less than half of it is not fired.
-        modulation: pulse-width, or delta-sigma, whose pulses make up for earlier ones' errors.
+        modulation: pulse-width, or delta-sigma, whose pulses make up for earlier errors.
         specific_impulse: In s; cold nitrogen has 70, hydrazine 220.
-        rise_delay: Time by which pulses begin and end late, s.
-        misalignment: Largest angle of a force to its direction, drawn once a flight, rad.
+        rise_delay: Pulses begin and end this late, s.
+        misalignment: Largest angle of a force to its axis, drawn once a flight, rad.
         scale_error: Largest relative error of a force, drawn once a flight.
-        detection_time: From a thruster's sticking until the others are fired accordingly, s.
-        survive_failure: Whether the guard covers one thruster stuck off or on; the others must give chaser.force_limit.
+        detection_time: From a thruster's sticking until others make up for it, s.
+        survive_failure: The guard covers a thruster stuck off or on; the others must give chaser.force_limit.
 
     """
 
@@ -512,14 +509,13 @@ class NavigationEntry(Entry):
 
     Attributes:
         suite: far (GNSS), near (laser range and bearing), close (pose by lidar or camera), or none: the true state with
-            the errors of `faults`.
-        estimate: What the law flies by: a Kalman filter of motion and disturbance; the last samples and the law's
-            observer; or raw samples.
+            errors of `faults`.
+        estimate: Kalman filter of motion and disturbance; the last samples and the law's observer; or raw samples.
         position_noise, velocity_noise: Largest error of a sample of suite close, m, m/s; unset: 0.05, 0.002.
         dropout: Probability that a sample is lost; unset: the suite's.
         most_missed: Most samples lost in a row; unset: the suite's.
-        initial_position_error, initial_velocity_error: Largest error of the first state, m, m/s; unset: the suite's
-            without losses.
+        initial_position_error, initial_velocity_error: Largest error at first, m, m/s; unset: the suite's without
+            losses.
 
     """
 

@@ -45,10 +45,10 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     """One mission: target, chaser, law, environment, start and goal. The defaults are the source paper's Case 1.
 
     Attributes:
-        name: For titles and files: letters, digits, `_`, `.` and `-`, a letter or digit first.
-        seed: Of everything that is drawn at random.
+        name: Letters, digits, `_`, `.` and `-`; first a letter or digit.
+        seed: Of all random numbers.
         duration: Time flown, s; at least one control period.
-        epoch: UTC at the start, for exports and the sun's place.
+        epoch: UTC at the start, for exports and the sun.
         leg: Hold points in their order; the last one is the goal.
         zone: Room that nobody may enter.
         corridor: Ways out of ports, beside which nobody may be.

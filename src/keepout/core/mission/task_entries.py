@@ -33,17 +33,16 @@ class LegEntry(Entry):
     """A place where the chaser holds; the last is the goal.
 
     Attributes:
-        name: In tables, plots and refusals; unset: the number.
+        name: Unset: the number.
         position: Hold point, m.
-        axes: Of `position`: body, or vvlh or inertial (ECI), whichever the target stands still in.
-        tolerance: The chaser is there while it is closer than this, m.
-        dwell: How long it stays there without a break, s.
-        until: "go": it flies on only at this word, on board the caller's, in simulation at `go_at`.
-        go_at: When "go" is said in simulation, s; `until` needs it.
-        speed_limit: On the way to this place, m/s; unset: chaser.speed_limit.
+        axes: body, or vvlh or inertial (ECI), whichever the target stands still in.
+        tolerance: The chaser is there while it is this near, m.
+        dwell: Stay there without a break, s.
+        until: "go": it flies on at this word, of the caller on board, at `go_at` in simulation.
+        go_at: When "go" is said, s; `until` needs it.
+        speed_limit: On the way there, m/s; unset: chaser.speed_limit.
         within: [earliest, latest], s: not flown to before, and reached by then.
-        drift_safe: Fly it so slowly that from all of it a drift without thrust is proved clear for
-            approach.abort_time.
+        drift_safe: Fly so slowly that drifts without thrust are proved clear for approach.abort_time.
 
     """
 
@@ -66,25 +65,25 @@ class LegEntry(Entry):
 
 
 class ZoneEntry(Entry):
-    """Room that no part of the chaser may enter while the zone stands.
+    """Room that no part of the chaser may enter.
 
     Attributes:
-        name: In tables, plots and refusals; unset: the number.
-        shape: Cylinder and cone go from `centre` along `axis`; a cone ends in a sphere's part; of a mesh the convex
-            hull of each part counts.
-        centre: Of a sphere, ellipsoid, cylinder's first face, or the apex of a cone, m.
+        name: Unset: the number.
+        shape: sphere, ellipsoid, box; cylinder or cone, along `axis`, the cone's end spherical; mesh, its parts' convex
+            hulls.
+        centre: Of a sphere or ellipsoid, a cylinder's first face, a cone's apex, m.
         radius: Of a sphere or cylinder, m.
         semi_axes: Of an ellipsoid, m.
         lower, upper: Corners of a box, m.
         axis: Of a cylinder or cone, any length.
-        half_angle: From a cone's axis to its side, rad.
+        half_angle: Of a cone, from its axis, rad.
         length: Of a cylinder or cone, m.
-        file: Of a mesh, by its path from the scenario's folder.
-        units: Of that mesh; unset: as its file says.
-        sha256: Of that file as it was flown; another is refused.
-        axes: Of all numbers, those of the file too, about the body frame's origin: body, vvlh, or inertial (ECI).
-        start: From when the zone stands, s.
-        until: Until when it stands, s, or "go", said to the first leg that waits for it; unset: for ever.
+        file: Of a mesh, from the scenario's folder.
+        units: Of that file: m, cm, mm, in or ft; unset: as it says.
+        sha256: Of that file; another is refused.
+        axes: Of all numbers and the file: body, vvlh, or inertial (ECI), about the body frame's origin.
+        start: From when it stands, s.
+        until: Until when, s, or "go", said to the first leg that waits for it; unset: for ever.
 
     """
 
@@ -123,17 +122,17 @@ class ZoneEntry(Entry):
 
 
 class CorridorEntry(Entry):
-    """Within `length` of a port the chaser's centre stays in a cone, or a tube, outwards from it.
+    """Within `length` of a port the chaser's centre stays in a cone or a tube.
 
     Attributes:
-        name: In tables, plots and refusals; unset: the number.
-        port: Place of the port, body axes, m.
+        name: Unset: the number.
+        port: Its place, body axes, m.
         axis: From the port outwards, body axes, any length.
-        length: Distance from the port within which the corridor binds, m.
-        half_angle: From the cone's axis to its side, rad; unset: a tube.
-        radius: Of the tube, which needs it, or of the cone at the port, m; unset: the cone begins as a point.
-        clear_from: From so far from the port on, along the axis, m, the inside is proved clear of the mesh before the
-            flight, and counts as clear where the field says less; unset: the field counts.
+        length: From the port, m.
+        half_angle: Of the cone, from its axis, rad; unset: a tube.
+        radius: Of the tube, which needs it, or of the cone at the port, m; unset: a point.
+        clear_from: From this far along the axis, m, the inside is proved clear before the flight, and counts as clear;
+            unset: the field counts.
 
     """
 
@@ -160,9 +159,8 @@ class ApproachEntry(Entry):
     Attributes:
         speed_by_distance: Pairs [distance, m, largest speed, m/s], far ones first; linear between.
         distance_to: Point to which distances are, body axes, m; unset: the mesh, by the law's field, which says less.
-        abort: At `faults.abort_at`: retreat to the previous hold point, under the guard; or drift, all thrusters off,
-            so that no guard can act.
-        abort_time: How long a chaser that stops thrusting should touch nothing, s, judged every few seconds.
+        abort: retreat to the previous hold point, under the guard, or drift, all thrusters off, at `faults.abort_at`.
+        abort_time: How long drifts without thrust should touch nothing, s, judged every few seconds.
 
     """
 
@@ -209,11 +207,11 @@ class DispersionEntry(Entry):
 
     Attributes:
         uniform: [least, largest]; of a vector: two corners of a box.
-        normal: [mean, standard deviation], cut off at `within`; of a vector: of each component.
+        normal: [mean, standard deviation]; of a vector: of each component.
         within: Standard deviations at which normal is cut off.
-        choice: The values to choose from.
-        weights: How often each value is drawn, relative; unset: all alike.
-        sphere: Length of a vector of any direction, or its [least, largest] length.
+        choice: Values to choose from.
+        weights: Relative, of the values of choice; unset: all alike.
+        sphere: Length of a vector of any direction, or [least, largest].
         centre: Vector that sphere's is added to.
 
     """
@@ -254,10 +252,10 @@ class CampaignEntry(Entry):
     """Many flights: from rest at random in a box, or with `dispersions` drawn for each.
 
     Attributes:
-        runs: Number of flights.
-        lower, upper: Corners of the box of starts, body axes, m, without dispersions.
-        sampling: How dispersed numbers are drawn.
-        dispersions: Entries that vary, by dotted name: `"chaser.mass" = {uniform = [18, 22]}`.
+        runs: Flights.
+        lower, upper: Corners of the box of starts at rest, body axes, m, without dispersions.
+        sampling: Of dispersed numbers: random, latin-hypercube or sobol.
+        dispersions: Entries that vary, by name: `"chaser.mass" = {uniform = [18, 22]}`.
 
     """
 
@@ -276,15 +274,15 @@ class RequireEntry(Entry):
     """What a flight, or a campaign's, must show; else the exit code is 3.
 
     Attributes:
-        contact: "proved": the audit proves that nothing was touched.
-        certified: Whether the guard's theorem must hold from the start.
-        clearance_m: Least clearance that the audit must prove.
+        contact: "proved": nothing was touched.
+        certified: The guard's theorem must hold from the start.
+        clearance_m: Least clearance that the audit proves.
         delta_v_mps: Greatest Δv.
-        time_s: Time by which the goal must be reached.
-        reached: Whether the goal must be reached.
-        zones: "proved": the audit proves that no zone was entered and no corridor left.
-        holds: Whether every leg must be held for its dwell, and reached in its window.
-        share: Of a campaign's runs that must meet each, by the lower end of the 95 % interval; unset: all.
+        time_s: By when the goal must be reached.
+        reached: The goal must be reached.
+        zones: "proved": no zone was entered, no corridor left.
+        holds: Every leg must be reached in its window, and held for its dwell.
+        share: Of a campaign's runs that meet each, by the lower end of the 95 % interval; unset: all.
 
     """
 
@@ -303,23 +301,22 @@ class DepthSensorEntry(Entry):
     """A camera that measures distances (lidar, stereo), and its promises.
 
     Attributes:
-        width, height: Pixels of an image, across and down.
-        field_of_view: From the left to the right edge of the image, rad.
-        rays_across: Rays along a pixel's edge; a pixel tells the first return of all its rays.
-        period: Time between images, s; whole control periods.
-        latency: Time from an image to its use, s; whole control periods.
-        mounting: Place from the chaser's centre, camera axes, m.
-        least_range, greatest_range: In m: a nearer return says nothing, farther surface does not return.
+        width, height: Pixels across and down.
+        field_of_view: From left to right edge, rad.
+        rays_across: Rays along a pixel's edge, whose first return it tells.
+        period, latency: Time between images, and from one to its use, s; whole control periods.
+        mounting: From the chaser's centre, camera axes, m.
+        least_range, greatest_range: In m: nearer returns say nothing, farther surface returns none.
         range_error: Largest error of a range, m.
-        position_error, attitude_error: Largest error of the pose in the map's frame, drift included, m, rad.
+        position_error, attitude_error: Largest error of the pose in the map's frame, with drift, m, rad.
         surely_returned_width: Parts this wide surely return a ray within the range used, m.
-        sure_empty_range: A ray without return is empty out to this range, m; 0: no return says nothing.
+        sure_empty_range: A ray without return is empty out to this range, m; 0: it says nothing.
         dropout: Probability that a return is lost, which the sensor says.
-        grazing_angle: Incidence beyond which a return is lost, which the sensor says, rad.
-        turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and its change, rad/s².
-        errors: random within their bounds, or adversarial: at the bounds with the worst signs.
-        broken: Broken promise: range or pose error of twice the bound; mixed ranges of near and far; losses that look
-            like no return; late images, of another time; none.
+        grazing_angle: Incidence beyond which returns are lost, which the sensor says, rad.
+        turn_rate, turn_acceleration: Of the boresight, at most, rad/s, rad/s².
+        errors: random, or adversarial: at their bounds with the worst signs.
+        broken: Promise that it breaks: range or pose error twice the bound; mixed ranges of near and far; losses that
+            look like no return; late images; none.
 
     """
 
@@ -353,10 +350,10 @@ class MapEntry(Entry):
     """The room that was seen free; all other is an obstacle.
 
     Attributes:
-        centre: Of the ball that holds the whole target, body axes, m.
+        centre: Of the ball that holds the target, body axes, m.
         radius: Of that ball, m; `keepout explore` needs it.
         spacing: Edge of the map's cubes, m.
-        cap: Greatest distance that the map tells apart, m, in whole spacings; unset: 1.5, rounded up.
+        cap: Greatest distance told apart, m, in whole spacings; unset: 1.5, rounded up.
         file: A .keepmap file to go on from.
 
     """
@@ -372,11 +369,11 @@ class ExploreEntry(Entry):
     """What `keepout explore` flies for, and when it ends.
 
     Attributes:
-        towards: goal: open a way to goal.position and fly there; all round: see all that can be seen.
+        towards: goal: open a way and fly there; all round: see all that can be seen.
         most_views: Most images.
-        explained: An unknown cube this near to a return belongs to the seen surface, m.
-        expected: Built-in target or mesh file that is believed in; departures from it are reported.
-        expected_units: Length unit of that file.
+        explained: Unknown cubes this near to a return count as seen surface, m.
+        expected: Built-in target or mesh file; departures from it are reported.
+        expected_units: Of that file: m, cm, mm, in or ft.
 
     """
 
@@ -391,14 +388,14 @@ class CameraEntry(Entry):
     """The camera at the chaser's centre, which turns on its own.
 
     Attributes:
-        field_of_view: Full angle of the cone that counts, rad.
-        pixels: Pixels across that cone.
+        field_of_view: Full angle of the cone, rad.
+        pixels: Across the cone.
         least_range: In m; nearer surface is not sharp.
         greatest_range: In m; farther surface does not count.
-        greatest_incidence: Largest angle from a patch's normal to the camera, rad.
+        greatest_incidence: From a patch's normal to the camera, rad.
         greatest_sample_distance: Of samples along the surface's slant, m a pixel; unset: any.
         period: Time between frames, s; whole control periods.
-        turn_rate, turn_acceleration: Largest rate of the boresight, rad/s, and its change, rad/s².
+        turn_rate, turn_acceleration: Of the boresight, at most, rad/s, rad/s².
 
     """
 
@@ -421,10 +418,10 @@ class LightEntry(Entry):
     """The light that a patch must be in to count as seen.
 
     Attributes:
-        kind: none: light does not matter; fixed: from `direction`; sun: by epoch, orbit and attitude, not while the
-            Earth hides any of it.
-        direction: Towards the light, body axes, any length; `fixed` needs it.
-        greatest_incidence: Largest angle from a patch's normal to the light, rad.
+        kind: none: it does not matter; fixed: from `direction`; sun: by epoch, orbit and attitude, not while the Earth
+            hides any of it.
+        direction: Towards the light, body axes, any length; fixed needs it.
+        greatest_incidence: From a patch's normal to the light, rad.
 
     """
 
@@ -440,7 +437,7 @@ class LightEntry(Entry):
 
 
 class ProtectedEntry(Entry):
-    """A ball, or a box along the body axes, that no plume may reach.
+    """A ball or box that no plume may reach.
 
     Attributes:
         centre: Of the ball, body axes, m.
@@ -464,7 +461,7 @@ class ProtectedEntry(Entry):
 
 
 class HoldPointEntry(Entry):
-    """A place where the chaser comes to rest, in this order, before any view.
+    """A place where the chaser rests first, in this order.
 
     Attributes:
         position: The place, body axes, m.
@@ -481,21 +478,20 @@ class InspectEntry(Entry):
 
     Attributes:
         stand_off: Least distance of the chaser's centre from the surface, m.
-        patch_size: Edge of the patches, each seen wholly or not at all, m; unset: 0.25; of a target beyond 80 m 1.0,
-            below 2.5 m a tenth of it.
-        coverage: Share of the area that can be seen and lit in time at which the flight ends.
-        tour: plan: the views that cover most, in the best order; nearest: the nearest view with something new;
-            circumnavigation: natural motion round the target.
-        objective: What the order of views makes least: time, delta_v, or both, time + delta_v_worth × Δv.
+        patch_size: Edge of the patches, seen wholly or not at all, m; unset: 0.25; 1.0 of a target beyond 80 m; a tenth
+            of one below 2.5 m.
+        coverage: Share of the area that can be seen and lit in time, at which the flight ends.
+        tour: plan: the views that cover most, in the best order; nearest: the next with something new;
+            circumnavigation: natural motion.
+        objective: What the views' order makes least: time, delta_v, or both, time + delta_v_worth × Δv.
         delta_v_worth: Price of Δv in both, s per m/s.
         candidates: Most places considered for views.
         most_views: Most views in one plan.
-        dwell: Stay at each view, s; 0: it flies on.
-        proof_squares: Most squares of directions in the proof of what can be seen.
-        proof_time: Longest time of that proof, s; where it ends the proof, results say so and differ from machine to
-            machine.
-        passive_safety: How long a chaser that stops thrusting anywhere on its way touches nothing, s.
-        plume_half_angle: From a plume's axis to its side, rad.
+        dwell: Stay at each view, s.
+        proof_squares: Most squares of directions to prove what can be seen.
+        proof_time: Most time for that proof, s; if it ends the proof, results say so and depend on the machine.
+        passive_safety: How long drifts without thrust touch nothing, s.
+        plume_half_angle: Of a plume, from its axis, rad.
         plume_range: Beyond it a plume harms nothing, m; unset: it always does.
         no_thrust_towards: Parts of the target that no plume may reach.
         hold_points: Places where the chaser is held first.
