@@ -101,9 +101,13 @@ def coarse_surfaces():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Compare arrays with their annotations in short tests, and in all where time is no matter: it costs a tenth."""
+    """Compare arrays with their annotations in the core's short tests, and in all where time is no matter.
+
+    It costs a tenth, and the storeys above call the core as its own tests do.
+    """
     unhurried = item.config.getoption("--hypothesis-profile") == "random"
-    jaxtyping.config.update("jaxtyping_disable", not unhurried and item.get_closest_marker("long") is not None)
+    short = item.get_closest_marker("long") is None and "core" in item.path.parts
+    jaxtyping.config.update("jaxtyping_disable", not unhurried and not short)
 
 
 FIRST = (

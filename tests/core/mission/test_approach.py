@@ -83,7 +83,10 @@ REFUSED = [
     ({"zone": [{**SPHERE, "radius": 19.8}]}, r'start\.position: .* 0\.2 m from zone "sphere"'),
     ({"corridor": [{**CORRIDOR, "port": [4.0, 0.0, 0.0]}]}, r'corridor "port": its port .* 2 m from the mesh'),
     ({"corridor": [{**CORRIDOR, "axis": [0.0, 1.0, 0.0]}]}, r'leg "near": .* beyond the wall of corridor "port"'),
-    ({"approach": {"speed_by_distance": [[3.0, 0.1], [2.99, 0.01]]}}, r"speed_by_distance: .* let the speed fall over"),
+    (
+        {"approach": {"speed_by_distance": [[3.0, 0.1], [2.99, 0.01]]}, "leg": [LEGS[2]], "zone": []},
+        r"speed_by_distance: .* let the speed fall over",
+    ),
     ({"approach": {"speed_by_distance": [[3.0, 0.1], [4.0, 0.01]]}}, "distances must fall"),
     ({"leg": [LEGS[0], {**LEGS[2], "position": [2.55, 0.0, 0.0]}]}, r'leg "capture": .* inside the keep-out zone'),
     ({"leg": [LEGS[0], {**LEGS[2], "within": [700.0, 900.0]}]}, "begins at 700.0 s, and the flight ends at 640.0 s"),
