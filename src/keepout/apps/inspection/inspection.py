@@ -180,44 +180,37 @@ class Inspection(Led):
 
 
 class Fate(enum.IntEnum):
-    """What became of a unit."""
+    """What became of a unit.
 
-    SEEN = 0
+    Attributes:
+        words: for people.
+        colour: told apart by colour-blind readers, on light paper and on a dark ground.
+
+    """
+
+    words: str
+    colour: str
+
+    SEEN = 0, "seen", "#2fa77d"
     """Wholly, in a frame of the flight."""
-    MISSED = 1
+    MISSED = 1, "could be seen, was not", "#d9722e"
     """Not seen, though it can be, and is lit at some time of the mission."""
-    SHADOWED = 2
+    SHADOWED = 2, "never lit", "#3f5fa8"
     """Not seen, and never lit in the mission's time, though there is a place to see it from."""
-    ENCLOSED_BY_RAYS = 3
+    ENCLOSED_BY_RAYS = 3, "hidden: enclosed, by rays", "#5b616b"
     """Proved hidden. Measured: each of many rays from its middle meets the mesh."""
-    NARROW_BY_RAYS = 4
+    NARROW_BY_RAYS = 4, "hidden: too narrow, by rays", "#b76aa4"
     """Proved hidden. Measured: some of these rays gets out, so that incidence, range, stand-off or width forbid it."""
-    UNDECIDED = 5
+    UNDECIDED = 5, "undecided", "#e8d44a"
     """Not seen, and neither a place to see it from is known nor a proof that there is none."""
-    NOT_COUNTED = 6
+    NOT_COUNTED = 6, "not counted", "#c9ced6"
     """Nobody asks for it: the inner side of a closed part."""
 
-
-WORDS = {
-    Fate.SEEN: "seen",
-    Fate.MISSED: "could be seen, was not",
-    Fate.SHADOWED: "never lit",
-    Fate.ENCLOSED_BY_RAYS: "hidden: enclosed, by rays",
-    Fate.NARROW_BY_RAYS: "hidden: too narrow, by rays",
-    Fate.UNDECIDED: "undecided",
-    Fate.NOT_COUNTED: "not counted",
-}
-"""For people."""
-FATE_COLOURS = {
-    Fate.SEEN: "#2fa77d",
-    Fate.MISSED: "#d9722e",
-    Fate.SHADOWED: "#3f5fa8",
-    Fate.ENCLOSED_BY_RAYS: "#5b616b",
-    Fate.NARROW_BY_RAYS: "#b76aa4",
-    Fate.UNDECIDED: "#e8d44a",
-    Fate.NOT_COUNTED: "#c9ced6",
-}
-"""Told apart by colour-blind readers, on light paper and on a dark ground."""
+    def __new__(cls, number: int, words: str, colour: str) -> "Fate":
+        """Make one of the kinds above."""
+        self = int.__new__(cls, number)
+        self._value_, self.words, self.colour = number, words, colour
+        return self
 
 
 def fates(inspection: Inspection) -> Int8[np.ndarray, " units"]:

@@ -13,16 +13,7 @@ from jaxtyping import Float, Int
 
 from keepout.apps.inspection import inspection_pictures as pictures
 from keepout.apps.inspection.frames import save_frames
-from keepout.apps.inspection.inspection import (
-    FATE_COLOURS,
-    WORDS,
-    Fate,
-    Inspection,
-    fates,
-    first_frames,
-    shares,
-    unseen,
-)
+from keepout.apps.inspection.inspection import Fate, Inspection, fates, first_frames, shares, unseen
 from keepout.apps.inspection.inspection_pictures import PatchMesh
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.core.progress import Progress, silent
@@ -40,7 +31,7 @@ _SHARES = {
     "seeable": "surely can be seen from the room allowed",
     "seeable_and_lit": "and is lit in the mission's time",
     "hidden": "proved hidden from the room allowed",
-    **{kind.name.lower(): WORDS[kind] for kind in Fate if kind is not Fate.NOT_COUNTED},
+    **{kind.name.lower(): kind.words for kind in Fate if kind is not Fate.NOT_COUNTED},
     "seen_beyond_proof": "seen, though proved hidden from the room allowed",
 }
 ROWS = {
@@ -137,7 +128,7 @@ def _tell_surface(page: Page, inspection: Inspection, shares: dict[str, float]) 
     """Say the shares of the area counted; what the pictures colour has its colour."""
     page.heading("The surface")
     area = float(inspection.patches.unit_areas().sum())
-    colours = {kind.name.lower(): FATE_COLOURS[kind] for kind in Fate}
+    colours = {kind.name.lower(): kind.colour for kind in Fate}
     rows = []
     for key, share in shares.items():
         if key == "seen_beyond_proof" and share == 0.0:
@@ -229,8 +220,7 @@ class Coverage(Layer):
             "half_angle": self.rules.half_angle,
             "reach": self.rules.greatest_range,
             "legend": [
-                {"words": WORDS[kind], "colour": FATE_COLOURS[kind], "shown": bool((self.fates == kind).any())}
-                for kind in Fate
+                {"words": kind.words, "colour": kind.colour, "shown": bool((self.fates == kind).any())} for kind in Fate
             ],
             "remark": self._remark(),
         }

@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Circle, Patch
 from scipy.ndimage import binary_erosion
 
-from keepout.apps.inspection.inspection import FATE_COLOURS, WORDS, Fate, Inspection, fates
+from keepout.apps.inspection.inspection import Fate, Inspection, fates
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.sightlines import slab
 from keepout.apps.led.camera import Pinhole, axes_towards
@@ -297,7 +297,7 @@ def _shade_dark(axes: Axes, inspection: Inspection, end: float) -> None:
 def draw_fates(path: Path, inspection: Inspection) -> None:
     """Draw the surface from six sides, each place in the colour of what became of it, into one PNG."""
     fate, patches, mesh = fates(inspection), inspection.patches, PatchMesh.of(inspection.patches)
-    palette = np.array([to_rgb(FATE_COLOURS[kind]) for kind in Fate])
+    palette = np.array([to_rgb(kind.colour) for kind in Fate])
     shown: set[int] = set()
     with figure(path, width=11.0, height=7.6) as drawing:
         for axes, (name, side) in zip(drawing.subplots(2, 3).flat, _SIDES.items()):
@@ -310,9 +310,7 @@ def draw_fates(path: Path, inspection: Inspection) -> None:
             axes.set_title(name, fontsize=9)
             axes.tick_params(labelsize=7)
         shares = {kind: f", {patches.coverage(fate == kind):.2%}" for kind in Fate} | {Fate.NOT_COUNTED: ""}
-        handles = [
-            Patch(facecolor=FATE_COLOURS[kind], label=f"{WORDS[kind]}{shares[kind]}") for kind in Fate if kind in shown
-        ]
+        handles = [Patch(facecolor=kind.colour, label=f"{kind.words}{shares[kind]}") for kind in Fate if kind in shown]
         drawing.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8)
         drawing.suptitle("What became of the surface: shares are of the area counted", fontsize=10)
 
