@@ -82,13 +82,13 @@ class Tour:
 
     def cost(self, objective: Objective, worth: float) -> float:
         """Give what an objective counts, beside views that come too late; `worth` is of Δv, s per m/s."""
-        time_weight, delta_v_weight = _weights(objective, worth)
+        time_weight, delta_v_weight = weights(objective, worth)
         return time_weight * self.end + delta_v_weight * self.delta_v
 
 
-def _weights(objective: Objective, worth: float) -> tuple[float, float]:
-    """Give what a second counts, and what 1 m/s does."""
-    return {"time": (1.0, 100.0 * _SIDE), "delta_v": (_SIDE, 100.0), "both": (1.0, worth)}[objective]
+def weights(objective: Objective, worth: float, *, side: float = 100.0 * _SIDE) -> tuple[float, float]:
+    """Give what a second counts, and what 1 m/s does: `side` where time is made least; `worth` where both count."""
+    return {"time": (1.0, side), "delta_v": (_SIDE, 100.0), "both": (1.0, worth)}[objective]
 
 
 def turning_time(
@@ -133,7 +133,7 @@ def best_tour(
     count = len(order)
     if count < 2:
         return flown(legs, order)
-    time_weight, delta_v_weight = _weights(objective, worth)
+    time_weight, delta_v_weight = weights(objective, worth)
     lengths = _finite(legs.lengths)
     taken = np.maximum(np.maximum(lengths / legs.speed, legs.turns), 1e-9)
     costs, velocities = time_weight * taken, (lengths / taken)[..., None] * legs.leave
