@@ -30,8 +30,10 @@ from keepout.apps.inspection.passive import (
     rows,
     states_at_times,
 )
+from keepout.apps.inspection.seeing.patches import Point
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import InspectionError
+from keepout.core.geometry.distance import Points
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.attitude import VVLHFixed
@@ -53,7 +55,6 @@ _PERIODS = 5.0
 """Control periods in which the velocity is brought to that of the way back."""
 _DONE = 0.1
 """Share of the velocity of the way back within which thrusting ends."""
-Point = Float[np.ndarray, "3"]
 _LONGEST = 0.1
 """Share of the mission's duration that the coast may take."""
 _TRIED = 24
@@ -96,7 +97,7 @@ class Circumnavigation:
 
 def hill_states(
     mean_motion: float, height: float, across: float, tilt: float, phase: Float[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+) -> tuple[Points, Points]:
     """Give positions (m) and velocities (m/s) in VVLH on an ellipse of Hill's equations, at phases φ (rad)."""
     n, a, b = mean_motion, height, across
     place = np.stack([a * np.cos(phase), -2.0 * a * np.sin(phase), b * np.cos(phase + tilt)], axis=-1)
@@ -170,9 +171,7 @@ def _tried(
     return states, clearance, clearance >= asked
 
 
-def _closed(
-    motion: RelativeMotion, position: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
+def _closed(motion: RelativeMotion, position: Points, velocity: Points) -> Points:
     """Change velocities along the orbit (VVLH, m/s) until the exact motion comes back along it after one orbit."""
     turning = replace(motion, attitude_motion=VVLHFixed(), centre_of_mass=np.zeros(3))
     period = 2.0 * math.pi / float(motion.orbit.mean_motion)
@@ -185,7 +184,7 @@ def _closed(
     return velocity
 
 
-def _axes(scenario: Scenario) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def _axes(scenario: Scenario) -> tuple[Float[np.ndarray, "3 3"], Point, Point]:
     """Give at the mission's start the rotation from VVLH to the body frame, its rate (rad/s) and the origin (m)."""
     motion = Surroundings(scenario).motion
     target = states_at_times(scenario, np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
@@ -195,7 +194,7 @@ def _axes(scenario: Scenario) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarra
     return np.asarray(turn), np.asarray(turning), np.asarray(motion.centre_of_mass)
 
 
-def in_body(scenario: Scenario, position: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 3"]) -> MotionState:
+def in_body(scenario: Scenario, position: Points, velocity: Points) -> MotionState:
     """Give states in the body frame at the mission's start from positions (m) and velocities (m/s) in VVLH.
 
     Positions in VVLH are told from the target's centre of mass.
@@ -318,7 +317,7 @@ def transfer(scenario: Scenario, distance: Distance, ellipse: Circumnavigation) 
 
 
 def _keeps(
-    scenario: Scenario, distance: Distance, position: Point, velocity: Float[np.ndarray, "n 3"], seconds: float
+    scenario: Scenario, distance: Distance, position: Point, velocity: Points, seconds: float
 ) -> Bool[np.ndarray, " n"]:
     """Prove of coasts from a place (VVLH) that they keep the stand-off, from the mission's start on."""
     asked = scenario.inspect.stand_off - scenario.chaser.radius

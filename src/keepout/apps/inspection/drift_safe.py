@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from keepout.apps.inspection.passive import drift_speed
+from keepout.apps.inspection.seeing.patches import Point
 from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import Guidance
 from keepout.core.control.legs import LegGuidance
@@ -75,9 +76,7 @@ def drift_safe(around: Surroundings, law: Controller, progress: Progress = silen
     return scenario.replace(leg=legs)
 
 
-def course_of(
-    way: Guidance, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"], name: str
-) -> Float[np.ndarray, "_ 3"]:
+def course_of(way: Guidance, start: Point, goal: Point, name: str) -> Float[np.ndarray, "_ 3"]:
     """Follow a guidance from a place to its goal; the corners of its course, m. `name` is the leg's, in refusals.
 
     Raises:

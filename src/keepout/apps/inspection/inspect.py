@@ -11,7 +11,7 @@ import time
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from keepout.apps.inspection.candidates import aim
 from keepout.apps.inspection.circumnavigation import Circumnavigation, circumnavigations, transfer
@@ -29,9 +29,10 @@ from keepout.apps.inspection.problem import (
     require_something_to_see,
     rules_of,
 )
+from keepout.apps.inspection.seeing.patches import Marks, Point
 from keepout.apps.inspection.seeing.visible import visible
 from keepout.apps.inspection.views_ahead import ViewsAhead
-from keepout.apps.led.driver import Ended, Leader, LedFlight, Point, judged, lead
+from keepout.apps.led.driver import Ended, Leader, LedFlight, judged, lead
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import InspectionError
 from keepout.core.fields.model import FieldModel
@@ -287,9 +288,7 @@ def _begun_on(scenario: Scenario, ellipse: Circumnavigation) -> Scenario:
     return scenario.replace(start=start, goal={"position": tuple(far.tolist())})
 
 
-def _promised(
-    problem: Problem, camera: Camera, ellipse: Circumnavigation, wanted: Bool[np.ndarray, " units"]
-) -> Bool[np.ndarray, " units"]:
+def _promised(problem: Problem, camera: Camera, ellipse: Circumnavigation, wanted: Marks) -> Marks:
     """Say which units are visible from some places along an ellipse, in light, whichever way the camera looks."""
     seen = np.zeros_like(wanted)
     for index in np.unique(np.linspace(0, len(ellipse.times) - 1, _TRIED).astype(int)):
@@ -301,7 +300,7 @@ def _promised(
     return seen
 
 
-def _shots(problem: Problem, estimated: Float[np.ndarray, "rows 3"], wanted: Bool[np.ndarray, " units"]) -> list[Shot]:
+def _shots(problem: Problem, estimated: Float[np.ndarray, "rows 3"], wanted: Marks) -> list[Shot]:
     """Turn the camera as on board: by the estimated positions, towards the middle of what is still to be seen."""
     scenario, target = problem.scenario, problem.target
     ticks = round(scenario.camera.period / scenario.control.period)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Float, Int, Int8
 
 from keepout.apps.inspection.circumnavigation import Transfer
 from keepout.apps.inspection.frames import Camera, Frame, Shot, as_flown
@@ -15,7 +15,7 @@ from keepout.apps.inspection.limits import LimitsKept, limits_kept
 from keepout.apps.inspection.passive import DriftsFlown
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.patches import Marks, Patches
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.led.driver import Ended, Led
@@ -51,11 +51,11 @@ class Inspection(Led):
     patches: Patches
     rules: SeeingRules
     seeable: Seeable
-    possible: Bool[np.ndarray, " units"]
+    possible: Marks
     plan: InspectionPlan
     plans: int
     frames: tuple[Frame, ...]
-    seen: Bool[np.ndarray, " units"]
+    seen: Marks
     limits: LimitsKept | None = None
     drifts: DriftsFlown | None = None
     transfer: Transfer | None = None
@@ -107,7 +107,7 @@ class Inspection(Led):
         return float(self.flown.delta_v) + (0.0 if self.transfer is None else self.transfer.delta_v)
 
     @property
-    def lit(self) -> Bool[np.ndarray, " units"]:
+    def lit(self) -> Marks:
         """The units of which it is known that they can be seen, and be lit in the mission's time."""
         return self.possible & (self.seeable.verdict == Verdict.SEEABLE)
 
@@ -121,7 +121,7 @@ class Inspection(Led):
         """Share of what surely can be seen, and be lit in the mission's time, that was seen; without the undecided."""
         return self._share_of(self.lit)
 
-    def _share_of(self, units: Bool[np.ndarray, " units"]) -> float:
+    def _share_of(self, units: Marks) -> float:
         whole = self.patches.coverage(units)
         return self.patches.coverage(self.seen & units) / whole if whole > 0.0 else 1.0
 

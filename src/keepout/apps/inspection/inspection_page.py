@@ -16,6 +16,7 @@ from keepout.apps.inspection.frames import save_frames
 from keepout.apps.inspection.inspection import Fate, Inspection, fates, first_frames, shares, unseen
 from keepout.apps.inspection.inspection_pictures import PatchMesh
 from keepout.apps.inspection.seeing.patches import Patches
+from keepout.core.geometry.distance import Points
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.drawn import MOST_TRIANGLES, fewer
@@ -238,7 +239,7 @@ class Coverage(Layer):
 def _units(
     mesh: PatchMesh,
     patches: Patches,
-    vertices: Float[np.ndarray, "v 3"],
+    vertices: Points,
     faces: Int[np.ndarray, "f 3"],
     became: Int[np.ndarray, " g"],
 ) -> Int[np.ndarray, "f 2"]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from keepout.apps.inspection.limits import sparing
 from keepout.apps.inspection.problem import law_keeps, require_stand_off
-from keepout.apps.led.driver import Leading, Point, moved
+from keepout.apps.inspection.seeing.patches import Point
+from keepout.apps.led.driver import Leading, moved
 from keepout.core.control.barrier_grid import BarrierGrid
 from keepout.core.control.geodesic import GeodesicGuidance
 from keepout.core.control.law import Law

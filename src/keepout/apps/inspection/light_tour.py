@@ -21,7 +21,8 @@ from scipy import sparse
 
 from keepout.apps.inspection.candidates import Views
 from keepout.apps.inspection.cover import fewest_views, shortlist
-from keepout.apps.inspection.plan import InspectionPlan, Point, Task
+from keepout.apps.inspection.plan import InspectionPlan, Task
+from keepout.apps.inspection.seeing.patches import Areas, Point
 from keepout.apps.inspection.tour import Tour, weights
 from keepout.core.cores import kernel
 from keepout.core.progress import Progress
@@ -49,7 +50,6 @@ _TRIES = 1500
 _TAKEN = 0.9
 """Share of the speed limit at which a tour is made: a law slows down for corners and near the target."""
 
-Areas = Float[np.ndarray, " units"]
 Stops = tuple[tuple[int, float], ...]
 """Rows of views, and the times at which they are worth something, s."""
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.limits import Protected
-from keepout.apps.inspection.seeing.patches import MOST_PATCHES, Patches, cut
+from keepout.apps.inspection.seeing.patches import MOST_PATCHES, Marks, Patches, Point, Units, cut
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, seeable
 from keepout.apps.inspection.seeing.sightlines import Sightlines
@@ -189,7 +189,7 @@ def require_light(scenario: Scenario, light: Light, patches: Patches) -> None:
     )
 
 
-def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Bool[np.ndarray, " units"]) -> None:
+def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Marks) -> None:
     """Refuse a target of which nothing can be seen, or nothing of that is ever lit.
 
     Args:
@@ -414,7 +414,7 @@ class Problem:
             return self.ways
         return Ways.build(self.target.distance, stand_off, lower, upper, most_nodes=int(min(nodes, _FINE_NODES)))
 
-    def ways_from(self, position: Float[np.ndarray, "3"]) -> Ways:
+    def ways_from(self, position: Point) -> Ways:
         """Give the ways, or such as reach farther where the chaser is outside their box."""
         lower, upper = self.box
         if ((position >= lower) & (position <= upper)).all():
@@ -445,7 +445,7 @@ class Wanted:
     """
 
     patches: Patches
-    possible: Bool[np.ndarray, " units"]
+    possible: Marks
     share: float
 
     def __post_init__(self) -> None:
@@ -453,7 +453,7 @@ class Wanted:
         self.failures = np.zeros(self.patches.units, np.int64)
 
     @property
-    def left(self) -> Bool[np.ndarray, " units"]:
+    def left(self) -> Marks:
         """The units still wanted and not given up."""
         return self.possible & ~self.taken & (self.failures < _ATTEMPTS)
 
@@ -488,13 +488,13 @@ class Wanted:
         missing = (self.share - self.reached) * whole
         return float(np.clip(missing / left, 0.0, 1.0)) if left > 0.0 else 1.0
 
-    def take(self, units: Int[np.ndarray, " k"]) -> int:
+    def take(self, units: Units) -> int:
         """Note what a frame showed; give how many units of it were wanted and new."""
         fresh = int((self.possible[units] & ~self.taken[units]).sum())
         self.taken[units] = True
         return fresh
 
-    def failed(self, promised: Int[np.ndarray, " k"]) -> None:
+    def failed(self, promised: Units) -> None:
         """Note that a tour promised units; those not taken are tried so many times at most."""
         missing = promised[~self.taken[promised]]
         self.failures[missing] += 1

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.leading import AroundMesh
@@ -17,8 +17,9 @@ from keepout.apps.inspection.passive import Drifting, DriftsFlown
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem, Wanted, boresight_of
+from keepout.apps.inspection.seeing.patches import Point, Units
 from keepout.apps.led.camera import Boresight
-from keepout.apps.led.driver import Ended, Point, given_up_at
+from keepout.apps.led.driver import Ended, given_up_at
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
 from keepout.core.mission.scenario import Scenario
@@ -67,7 +68,7 @@ class Leg:
 
     place: Point
     boresight: Point | None
-    units: Int[np.ndarray, " k"]
+    units: Units
     window: tuple[float, float] = (0.0, float("inf"))
     stay: float = 0.0
     near: float = _NEAR
@@ -94,7 +95,7 @@ class Leg:
         """Whether the chaser stays there, whatever was seen."""
         return self.stay > 0.0
 
-    def left(self, wanted: Wanted) -> Int[np.ndarray, " k"]:
+    def left(self, wanted: Wanted) -> Units:
         """Give the units of the view that are still wanted."""
         return self.units[wanted.left[self.units]]
 
@@ -245,7 +246,7 @@ class ViewsAhead:
         areas = self.problem.patches.unit_areas()
         return float(areas[self._lost & self.wanted.left].sum()) >= _LOST * float(areas[self.wanted.possible].sum())
 
-    def _lit(self, now: float, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    def _lit(self, now: float, units: Units) -> Bool[np.ndarray, " k"]:
         sun = self.camera.light.sun(now)
         if sun is None:
             return np.full(len(units), not self.camera.light.matters)

@@ -484,8 +484,7 @@ class InspectEntry(Entry):
         patch_size: Edge of the patches, each seen wholly or not at all, m; unset: 0.25; of a target beyond 80 m 1.0,
             below 2.5 m a tenth of it.
         coverage: Share of the area that can be seen and lit in time at which the flight ends.
-        tour: plan: the views that cover most, in the best order; nearest: the nearest view with something new;
-            circumnavigation: natural motion round the target.
+        tour: plan: the views that cover most, in the best order; circumnavigation: natural motion round the target.
         objective: What the order of views makes least: time, delta_v, or both, time + delta_v_worth × Δv.
         delta_v_worth: Price of Δv in both, s per m/s.
         candidates: Most places considered for views.
@@ -505,7 +504,7 @@ class InspectEntry(Entry):
     stand_off: Positive = 1.5
     patch_size: Positive | None = None
     coverage: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
-    tour: Literal["plan", "nearest", "circumnavigation"] = "plan"
+    tour: Literal["plan", "circumnavigation"] = "plan"
     objective: Literal["time", "delta_v", "both"] = "time"
     delta_v_worth: Positive = 1000.0
     candidates: Annotated[int, Field(ge=1, le=1_000_000)] = 4000
