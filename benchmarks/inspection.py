@@ -31,7 +31,7 @@ from nearest_views import nearest_views
 
 from keepout.apps.inspection.inspect import inspect
 from keepout.apps.inspection.inspection import shares
-from keepout.apps.inspection.light import Camera, Light, ever_lit
+from keepout.apps.inspection.light import Light, ever_lit
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem, Wanted, boresight_of, rules_of
 from keepout.core.errors import KeepoutError
@@ -158,8 +158,7 @@ def tour_of(name):
 def first_plan(problem, *, nearest=False):
     """Make the plan that an inspection begins with."""
     scenario = problem.scenario
-    camera = Camera(problem.sight, problem.rules, problem.light)
-    lit = ever_lit(camera, problem.seeable.possible, scenario.duration)
+    lit = ever_lit(problem.camera, problem.seeable.possible, scenario.duration)
     wanted = Wanted(problem.patches, lit, scenario.inspect.coverage)
     if nearest:
         return nearest_views(problem, wanted.left, wanted.share_of_left)

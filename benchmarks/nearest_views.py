@@ -6,7 +6,7 @@ import numpy as np
 
 from keepout.apps.inspection.candidates import candidates
 from keepout.apps.inspection.cover import shortlist
-from keepout.apps.inspection.light import Camera, LitTimes
+from keepout.apps.inspection.light import LitTimes
 from keepout.apps.inspection.plan import InspectionPlan, Task
 from keepout.apps.inspection.problem import Problem, boresight_of
 
@@ -27,8 +27,7 @@ def nearest_views(problem: Problem, wanted: np.ndarray, share: float) -> Inspect
     """
     scenario, wanted = problem.scenario, wanted & problem.patches.counted
     areas = problem.patches.unit_areas() * wanted
-    camera = Camera(problem.sight, problem.rules, problem.light)
-    lit = LitTimes.of(camera, wanted, 0.0, scenario.duration, scenario.camera.period)
+    lit = LitTimes.of(problem.camera, wanted, 0.0, scenario.duration, scenario.camera.period)
     assert not lit.changes
     views, _ = candidates(problem, wanted & lit.lit[0], 0.0)
     found, views = len(views.positions), views.only(shortlist(views.sees, areas))

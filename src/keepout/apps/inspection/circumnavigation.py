@@ -42,6 +42,7 @@ from keepout.core.motion.rotation import matrix
 
 TILTS = ((0.0, 0.0), *((share, math.radians(beta)) for share in (1.0, math.sqrt(3.0)) for beta in (0, 90, 180, 270)))
 """Motions across the orbit that are tried: b/a, and β in rad. √3 with 0 or 180° is a circle."""
+Sizes = float | Float[np.ndarray, " k"]
 _SIZES = 16
 """Heights tried for each tilt: from one that is surely too low to one that is surely enough, then between two."""
 _AFAR = 1e5
@@ -95,10 +96,8 @@ class Circumnavigation:
         return CoastingLaw(*map(jnp.asarray, of))
 
 
-def hill_states(
-    mean_motion: float, height: float, across: float, tilt: float, phase: Float[np.ndarray, " k"]
-) -> tuple[Points, Points]:
-    """Give positions (m) and velocities (m/s) in VVLH on an ellipse of Hill's equations, at phases φ (rad)."""
+def hill_states(mean_motion: float, height: Sizes, across: Sizes, tilt: Sizes, phase: Sizes) -> tuple[Points, Points]:
+    """Give positions (m) and velocities (m/s) in VVLH on an ellipse of Hill's equations, or on one each."""
     n, a, b = mean_motion, height, across
     place = np.stack([a * np.cos(phase), -2.0 * a * np.sin(phase), b * np.cos(phase + tilt)], axis=-1)
     rate = np.stack([-a * np.sin(phase), -2.0 * a * np.cos(phase), -b * np.sin(phase + tilt)], axis=-1)
@@ -155,13 +154,9 @@ def _tried(
     scenario: Scenario, distance: Distance, heights: Float[np.ndarray, "sizes tilts"]
 ) -> tuple[MotionState, Float[np.ndarray, "sizes tilts"], Bool[np.ndarray, "sizes tilts"]]:
     """Give the first states of ellipses (one after the other), bounds on how near they come, and if that is enough."""
-    motion = Surroundings(scenario).motion
-    n, (share, beta) = float(motion.orbit.mean_motion), np.tile(TILTS, (len(heights), 1)).T
-    begun = [
-        hill_states(n, height, height * of, at, np.zeros(1))
-        for height, of, at in zip(heights.ravel().tolist(), share.tolist(), beta.tolist(), strict=True)
-    ]
-    position, velocity = (np.concatenate(part) for part in zip(*begun, strict=True))
+    motion, height = Surroundings(scenario).motion, heights.ravel()
+    (share, beta), phase = np.tile(TILTS, (len(heights), 1)).T, np.zeros(len(height))
+    position, velocity = hill_states(float(motion.orbit.mean_motion), height, height * share, beta, phase)
     states = in_body(scenario, position, _closed(motion, position, velocity))
     radius, asked = scenario.chaser.radius, scenario.inspect.stand_off + _BAND
     least = asked - radius

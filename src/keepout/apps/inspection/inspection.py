@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int, Int8
 
 from keepout.apps.inspection.circumnavigation import Transfer
-from keepout.apps.inspection.frames import Camera, Frame, Shot, as_flown
+from keepout.apps.inspection.frames import Frame, Shot, as_flown
 from keepout.apps.inspection.limits import LimitsKept, limits_kept
 from keepout.apps.inspection.passive import DriftsFlown
 from keepout.apps.inspection.plan import InspectionPlan
@@ -66,7 +66,6 @@ class Inspection(Led):
         cls,
         problem: Problem,
         flight: Flight,
-        camera: Camera,
         shots: Sequence[Shot],
         ended: Ended,
         began: float,
@@ -79,7 +78,6 @@ class Inspection(Led):
         Args:
             problem: what was to be seen.
             flight: at its end.
-            camera: what it sees.
             shots: frames as the camera was told to take them.
             ended: how it ended.
             began: when the computation began, s by `time.perf_counter`.
@@ -87,7 +85,7 @@ class Inspection(Led):
             **found: further entries of the inspection.
 
         """
-        frames, seen = as_flown(flight.record, shots, camera, progress=progress)
+        frames, seen = as_flown(flight.record, shots, problem.camera, progress=progress)
         scenario, entry, limits = flight.scenario, flight.scenario.inspect, None
         if entry.hold_points or entry.no_thrust_towards or entry.passive_safety:
             ticks = round(scenario.camera.period / scenario.control.period)

@@ -227,10 +227,6 @@ class PatchMesh:
         _, kept, joined = np.unique(cells, axis=0, return_index=True, return_inverse=True)
         return cls(corners[kept], joined.reshape(-1)[faces], patch)
 
-    def triangles(self) -> Float[np.ndarray, "f 3 3"]:
-        """Give the corners of each face, m."""
-        return self.vertices[self.faces]
-
 
 @dataclass(frozen=True, eq=False)
 class BestView:
@@ -325,7 +321,7 @@ def draw_contact_sheet(path: Path, inspection: Inspection) -> None:
     light = any(frame.sun is not None for frame in inspection.frames)
     rows = max(1, math.ceil(len(views) / _ACROSS))
     mesh = PatchMesh.of(inspection.patches)
-    studio = Studio(mesh.triangles())
+    studio = Studio(mesh.vertices[mesh.faces])
     with figure(path, width=11.0, height=0.75 + 3.05 * rows) as drawing:
         panels = drawing.subplots(rows, _ACROSS, squeeze=False)
         for axes in panels.flat:

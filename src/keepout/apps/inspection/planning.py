@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.candidates import Views, aim, candidates, table_of
 from keepout.apps.inspection.cover import fewest_views, greedy_cover, shortlist
-from keepout.apps.inspection.light import Camera, LitTimes
+from keepout.apps.inspection.light import LitTimes
 from keepout.apps.inspection.light_tour import plan_in_light
 from keepout.apps.inspection.plan import Between, DrawnUp, InspectionPlan, Task
 from keepout.apps.inspection.problem import Problem, boresight_of
@@ -24,9 +24,6 @@ from keepout.apps.inspection.seeing.patches import Areas, Marks, Point, Units
 from keepout.apps.inspection.tour import Tour, best_tour
 from keepout.apps.inspection.ways import way_length
 from keepout.core.progress import Progress, part_of, silent
-
-_AMONG = 4000
-"""Views that the fewest are chosen from."""
 
 
 def plan(
@@ -59,8 +56,7 @@ def plan(
     areas = problem.patches.unit_areas() * wanted
     if not areas.any():
         return InspectionPlan((), np.zeros_like(wanted), 0.0, 0.0, 0, 0, 0)
-    camera = Camera(problem.sight, problem.rules, problem.light)
-    lit = LitTimes.of(camera, wanted, time, max(scenario.duration, time), scenario.camera.period)
+    lit = LitTimes.of(problem.camera, wanted, time, max(scenario.duration, time), scenario.camera.period)
     views, unsafe = candidates(problem, wanted & lit.lit.any(axis=0), time, progress=part_of(progress, 0.0, 0.5))
     position = np.asarray(position, dtype=np.float64)
     boresight = boresight_of(scenario, problem.target).direction if boresight is None else boresight
@@ -80,7 +76,7 @@ def _fewest_in_order(task: Task, views: Views, progress: Progress) -> Inspection
     places, at = np.unique(views.positions, axis=0, return_inverse=True)
     views = views.only(np.flatnonzero(task.ways.reached(task.position, places)[at.ravel()]))
     found = len(views.positions)
-    views = views.only(shortlist(views.sees, task.areas, _AMONG))
+    views = views.only(shortlist(views.sees, task.areas))
     work = {"effort": task.effort, "seed": scenario.seed, "progress": part_of(progress, 0.0, 0.6)}
     cover = fewest_views(views.sees, task.areas, task.goal, **work)
     arranger = Arranger(task, views, part_of(progress, 0.6, 1.0))

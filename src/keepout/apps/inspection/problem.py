@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from keepout.apps.inspection.light import Light
+from keepout.apps.inspection.light import Camera, Light
 from keepout.apps.inspection.limits import Protected
 from keepout.apps.inspection.seeing.patches import MOST_PATCHES, Marks, Patches, Point, Units, cut
 from keepout.apps.inspection.seeing.room import Room
@@ -45,13 +45,10 @@ _ROUNDING = 1e-12
 
 def rules_of(scenario: Scenario) -> SeeingRules:
     """Give the limits of a scenario's camera and light."""
-    camera, finest = scenario.camera, scenario.camera.greatest_sample_distance
+    of_camera = ("field_of_view", "pixels", "least_range", "greatest_range", "greatest_incidence")
+    finest = scenario.camera.greatest_sample_distance
     return SeeingRules(
-        field_of_view=camera.field_of_view,
-        pixels=camera.pixels,
-        least_range=camera.least_range,
-        greatest_range=camera.greatest_range,
-        greatest_incidence=camera.greatest_incidence,
+        **{name: getattr(scenario.camera, name) for name in of_camera},
         greatest_sample_distance=math.inf if finest is None else finest,
         greatest_sun_incidence=scenario.light.greatest_incidence,
     )
@@ -399,6 +396,11 @@ class Problem:
         inspect, told = scenario.inspect, part_of(progress, 0.1, 1.0)
         judged = seeable(sight, rules, room, squares=inspect.proof_squares, seconds=inspect.proof_time, progress=told)
         return cls(scenario, target, patches, rules, sight, room, judged, Light(scenario))
+
+    @functools.cached_property
+    def camera(self) -> Camera:
+        """What sees the patches, frame by frame."""
+        return Camera(self.sight, self.rules, self.light)
 
     @functools.cached_property
     def ways(self) -> Ways:
