@@ -499,19 +499,16 @@ def _simplified(polygon, count):
 
 @kernel()
 def _measure(polygon, count):
-    area, around = 0.0, 0.0
+    around = 0.0
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
-        area += (polygon[i, 0] - polygon[0, 0]) * (polygon[j, 1] - polygon[0, 1])
-        area -= (polygon[i, 1] - polygon[0, 1]) * (polygon[j, 0] - polygon[0, 0])
         around += np.hypot(polygon[j, 0] - polygon[i, 0], polygon[j, 1] - polygon[i, 1])
-    return 0.5 * area, around
+    return 0.5 * _double_area(polygon, count), around
 
 
 @kernel()
-def _outline(points, count, work):
-    """Write the convex hull of points without straight corners; their number, its area and its circumference."""
-    order, chain, out = work
+def sort_points(points, count, order):
+    """Write the order of points by x, then y."""
     order[0] = 0
     for i in range(1, count):
         k, j = i, i
@@ -522,6 +519,13 @@ def _outline(points, count, work):
             order[j] = order[j - 1]
             j -= 1
         order[j] = k
+
+
+@kernel()
+def _outline(points, count, work):
+    """Write the convex hull of points without straight corners; their number, its area and its circumference."""
+    order, chain, out = work
+    sort_points(points, count, order)
     size = hull_of(points, order, count, chain)
     for i in range(size):
         out[i, 0], out[i, 1] = points[chain[i], 0], points[chain[i], 1]

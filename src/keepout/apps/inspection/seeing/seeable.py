@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from keepout.apps.inspection.seeing import sightlines
-from keepout.apps.inspection.seeing.patches import Marks, Patches, Units, hull_of
+from keepout.apps.inspection.seeing.patches import Marks, Patches, Units, hull_of, sort_points
 from keepout.apps.inspection.seeing.room import Limits, Room, beam_workspace, first_place, least_height, place_of
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
@@ -378,20 +378,14 @@ def _all_blocked(tree, frames, rays):
 
 
 @kernel()
-def _sorted_apart(points, count):
-    """Sort points by x, then y, in place, and leave out those that hardly differ from the one before; their number."""
-    for i in range(1, count):
-        x, y, moved = points[i, 0], points[i, 1], points[i, 2]
-        j = i - 1
-        while j >= 0 and (points[j, 0] > x or (points[j, 0] == x and points[j, 1] > y)):
-            points[j + 1, 0], points[j + 1, 1], points[j + 1, 2] = points[j, 0], points[j, 1], points[j, 2]
-            j -= 1
-        points[j + 1, 0], points[j + 1, 1], points[j + 1, 2] = x, y, moved
+def _apart(points, order, count):
+    """Leave out of an order of points those that hardly differ from the one before; the number of those left."""
     kept = 1
     for i in range(1, count):
-        apart = abs(points[i, 0] - points[kept - 1, 0]) + abs(points[i, 1] - points[kept - 1, 1])
-        if apart > _SAME * (1.0 + abs(points[i, 0]) + abs(points[i, 1])):
-            points[kept, 0], points[kept, 1], points[kept, 2] = points[i, 0], points[i, 1], points[i, 2]
+        here, before = order[i], order[kept - 1]
+        x, y = points[here, 0], points[here, 1]
+        if abs(x - points[before, 0]) + abs(y - points[before, 1]) > _SAME * (1.0 + abs(x) + abs(y)):
+            order[kept] = here
             kept += 1
     return kept
 
@@ -434,7 +428,8 @@ def shadow(triangle, frame, outline, height, reach, largest, shadows, slot):
             points[total, 0], points[total, 1] = x, y
             points[total, 2] = _ROUNDING * (1.0 + abs(x) + abs(y)) * (1.0 + largest * inverse)
             total += 1
-    total = _sorted_apart(points, total)
+    sort_points(points, total, shadows.order)
+    total = _apart(points, shadows.order, total)
     if total < 3:
         return 0
     # A corner that rounding leaves out makes the hull smaller, never larger.
