@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from keepout.apps.inspection.passive import drift_speed
 from keepout.apps.inspection.seeing.patches import Point
+from keepout.apps.inspection.ways import way_length
 from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import Guidance
 from keepout.core.control.legs import LegGuidance
@@ -58,11 +59,9 @@ def drift_safe(around: Surroundings, law: Controller, progress: Progress = silen
         if leg.drift_safe:
             way = dataclasses.replace(guidance, leg=jnp.asarray(number, guidance.leg.dtype)).way
             course = course_of(way, place, goal, named("leg", leg, number))
-            length = float(np.linalg.norm(np.diff(course, axis=0), axis=1).sum())
+            times = time, time + way_length(course) / limit
             asked: dict[str, Any] = {"seconds": scenario.approach.abort_time, "limit": limit}
-            speed, slowest = drift_speed(
-                scenario, around.target.distance.distance, course, (time, time + length / limit), **asked
-            )
+            speed, slowest = drift_speed(scenario, around.target.distance.distance, course, times, **asked)
             if not speed:
                 raise ScenarioError(
                     f"{named('leg', leg, number)}: drift_safe, but at no speed down to {slowest:.3g} m/s every drift "

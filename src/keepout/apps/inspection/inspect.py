@@ -32,6 +32,7 @@ from keepout.apps.inspection.problem import (
 from keepout.apps.inspection.seeing.patches import Marks, Point
 from keepout.apps.inspection.seeing.visible import in_view, visible
 from keepout.apps.inspection.views_ahead import ViewsAhead
+from keepout.apps.inspection.ways import way_length
 from keepout.apps.led.driver import Ended, Leader, LedFlight, judged, lead
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import InspectionError
@@ -263,8 +264,6 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     initial = motion.initial_state(ellipse.position[0], ellipse.velocity[0])
     log = fly(setup, initial, scenario.steps, jax.random.key(scenario.seed))
     progress(0.6, "flown")
-    time_flown, position = np.asarray(log.time), np.asarray(log.position)
-    way = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     certified = None if guard is None else bool(guard.certified_start(initial))
     why = (
         f"{ellipse.turns:.2f} turns on an ellipse {ellipse.height:.2f} m high and {ellipse.across:.2f} m across, "
@@ -273,7 +272,8 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     )
     flown = judged(scenario, target, setup, log, certified)
     shots = _shots(problem, np.asarray(log.estimated_position), lit)
-    plan = InspectionPlan((), shares[best], way, float(time_flown[-1]), len(ellipses), 0, 0)
+    way, lasts = way_length(np.asarray(log.position)), float(np.asarray(log.time)[-1])
+    plan = InspectionPlan((), shares[best], way, lasts, len(ellipses), 0, 0)
     found, told = {"possible": lit, "plan": plan, "plans": 1, "transfer": onto}, part_of(progress, 0.7, 1.0)
     return Inspection.of(problem, flown, shots, Ended("out of time", why), begun, progress=told, **found)
 

@@ -144,15 +144,14 @@ def kept_safe(
         dwell: at every view, s.
 
     """
+    kept = [0, *tour.order.tolist()]
     if drifting is None:
-        order = [0, *tour.order.tolist()]
-        return tour, [course(*leg) for leg in pairwise(order)], [math.inf] * len(tour.order), None
-    at = dict(zip([0, *tour.order.tolist()], [begin, *tour.times.tolist()], strict=True))
+        return tour, [course(*leg) for leg in pairwise(kept)], [math.inf] * len(tour.order), None
+    at = dict(zip(kept, [begin, *tour.times.tolist()], strict=True))
     chaser = drifting.scenario.chaser
     limit, settle = chaser.speed_limit, chaser.speed_limit * chaser.mass / chaser.force_limit
     courses: dict[tuple[int, int], Course] = {}
     speeds: dict[tuple[int, int], float] = {}
-    kept = [0, *tour.order.tolist()]
     while fresh := [leg for leg in pairwise(kept) if leg not in speeds]:
         courses |= {leg: course(*leg) for leg in fresh}
         times = np.array([(at[a], at[b]) for a, b in fresh])

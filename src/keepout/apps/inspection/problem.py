@@ -121,39 +121,29 @@ def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None
     return room
 
 
-def law_keeps(scenario: Scenario, target: Target, error_bound: float) -> float:
+def require_stand_off(scenario: Scenario, target: Target, error_bound: float) -> float:
     """Give the room, m, that law and guard keep between the chaser's centre and the mesh, as the field says it.
 
     Args:
-        scenario: as flown.
+        scenario: as flown, by the law "default".
         target: its mesh.
         error_bound: e_h of the field that the law flies by, m.
 
     Raises:
+        InspectionError: it is more than the stand-off, at which the law then does not fly.
         ControlError: the thrusters cannot meet the guard's assumptions.
 
     """
-    by_default = scenario.control.profile == "default"
-    own = least_offset(scenario.chaser.speed_limit, scenario.control.period) if by_default else 0.0
-    room = room_for_guard(Surroundings(scenario, target)).get("nominal_offset", own)
-    return error_bound + scenario.chaser.radius + scenario.safety.margin + room
-
-
-def require_stand_off(scenario: Scenario, target: Target, error_bound: float) -> None:
-    """Refuse a stand-off at which the law does not fly; the arguments are those of `law_keeps`.
-
-    Raises:
-        InspectionError: law and guard keep more.
-
-    """
-    kept, asked = law_keeps(scenario, target, error_bound), scenario.inspect.stand_off
+    radius, margin, asked = scenario.chaser.radius, scenario.safety.margin, scenario.inspect.stand_off
+    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
+    kept = error_bound + radius + margin + room_for_guard(Surroundings(scenario, target)).get("nominal_offset", own)
     if asked < kept:
-        radius, margin = scenario.chaser.radius, scenario.safety.margin
         raise InspectionError(
             f"inspect.stand_off: {asked:g} m, and law and guard keep {kept:.3f} m (chaser.radius {radius:g}, "
             f"safety.margin {margin:g}, the field's error {error_bound:.3f}, room to steer "
             f"{kept - radius - margin - error_bound:.3f}); it must be at least that"
         )
+    return kept
 
 
 def require_light(scenario: Scenario, light: Light, patches: Patches) -> None:
@@ -472,14 +462,10 @@ class Wanted:
         return self.reached >= self.share - _ROUNDING
 
     @property
-    def all_taken(self) -> bool:
-        """Whether nothing of the possible area is left, given up or not."""
-        return not bool((self.possible & ~self.taken).any())
-
-    @property
     def ending(self) -> tuple[str, str]:
         """Say how an inspection ends by which the share wanted was taken, and why."""
-        outcome = "all seen" if self.all_taken else f"{100.0 * self.share:g} % asked, seen"
+        left = bool((self.possible & ~self.taken).any())
+        outcome = f"{100.0 * self.share:g} % asked, seen" if left else "all seen"
         return outcome, f"{self.reached:.2%} of what is not proved hidden was taken, {self.share:.2%} were asked for"
 
     @property
