@@ -7,8 +7,9 @@ with the acceleration a, half of Δv / a in time. Where the chaser stays it stop
 The cost of an order is a sum over legs and over places between two legs. So a move is judged by the few legs that it
 changes: a stretch of the order turned round (2-opt), or up to three places moved elsewhere (Or-opt), either towards a
 near neighbour. Where none helps, neighbouring stretches change places (the double bridge of Martin, Otto & Felten
-1991), and what is no better than before is undone. In these loops orders are arrays with the start, place 0, first and `_NONE` at both outer ends: `order[0]` is `_NONE`, `order[1]` is 0. What is paid is a
-tuple: the cost of each leg, its velocity, the cost of a change of velocity, and whether the chaser stops at each place.
+1991), and what is no better than before is undone. In these loops orders are arrays with the start, place 0, first and
+`_NONE` at both outer ends: `order[0]` is `_NONE`, `order[1]` is 0. What is paid is a tuple: the cost of each leg, its
+velocity, the cost of a change of velocity, and whether the chaser stops at each place.
 """
 
 from dataclasses import dataclass
