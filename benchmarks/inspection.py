@@ -9,7 +9,7 @@ shipped field is above the distance where the stand-off is kept.
 
 Parts:
   targets    one flight by the plan, without light
-  baselines  the same by the tours "nearest" and "circumnavigation"
+  baselines  the same by the nearest views (their tour is the first plan), and by the tour "circumnavigation"
   light      the same in a low orbit, with the sun fixed in the body frame, and as it moves, with the Earth's shadow
   dispersed  flights from dispersed starts, with errors of the estimate up to their bounds (by default --flights of
              them around the first two targets); all of a target share what can be seen, and the first plan
@@ -27,10 +27,11 @@ from pathlib import Path
 
 import numpy as np
 from kept_rows import Rows, command, tell
+from nearest_views import nearest_views
 
 from keepout.apps.inspection.inspect import inspect
 from keepout.apps.inspection.inspection import shares
-from keepout.apps.inspection.light import Camera, Light, ever_lit
+from keepout.apps.inspection.light import Light, ever_lit
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem, Wanted, boresight_of, rules_of
 from keepout.core.errors import KeepoutError
@@ -94,7 +95,7 @@ class Inspected:
 
     def flown(self, part, tour="plan", light="none", seed=0):
         """Give the scenario of a row."""
-        scenario = self.scenario.replace(seed=seed, inspect={"tour": tour}, **self.lit(light))
+        scenario = self.scenario.replace(seed=seed, inspect=tour_of(tour), **self.lit(light))
         if part != "dispersed":
             return scenario
         generator = np.random.default_rng((seed, 21))
@@ -115,11 +116,11 @@ class Inspected:
             self.seeable_seconds = time.perf_counter() - began
             say(f"{self.name}: what can be seen took {self.seeable_seconds:.0f} s")
         if (tour, light) not in self.plans:
-            planned = self.scenario.replace(inspect={"tour": tour}, **self.lit(light))
+            planned = self.scenario.replace(inspect=tour_of(tour), **self.lit(light))
             problem = dataclasses.replace(self.problem, scenario=planned, rules=rules_of(planned), light=Light(planned))
             first, began = None, time.perf_counter()
             if tour != "circumnavigation":
-                first = first_plan(problem)
+                first = first_plan(problem, nearest=tour == "nearest")
             self.plans[tour, light] = problem, first, time.perf_counter() - began
             say(f"{self.name}, {tour}, {light}: the plan took {self.plans[tour, light][2]:.0f} s")
         return self.plans[tour, light]
@@ -149,12 +150,18 @@ class Inspected:
         return dict(zip((*PLACE, *SETTINGS), (*place, *made, longest), strict=True))
 
 
-def first_plan(problem):
+def tour_of(name):
+    """Give the scenario's entry for a tour; that to the nearest views is a first plan like any other."""
+    return {"tour": "plan" if name == "nearest" else name}
+
+
+def first_plan(problem, *, nearest=False):
     """Make the plan that an inspection begins with."""
     scenario = problem.scenario
-    camera = Camera(problem.sight, problem.rules, problem.light)
-    lit = ever_lit(camera, problem.seeable.possible, scenario.duration)
+    lit = ever_lit(problem.camera, problem.seeable.possible, scenario.duration)
     wanted = Wanted(problem.patches, lit, scenario.inspect.coverage)
+    if nearest:
+        return nearest_views(problem, wanted.left, wanted.share_of_left)
     return plan(
         problem,
         position=np.asarray(scenario.start.position),

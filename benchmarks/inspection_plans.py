@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from kept_rows import Rows, command, tell
+from nearest_views import nearest_views
 
 from keepout.apps.inspection.cover import fewest_views
 from keepout.apps.inspection.planning import candidates, plan
@@ -66,11 +67,14 @@ def planned(problem: Problem, place: dict[str, Any]) -> dict[str, Any]:
     """Plan once and give the figures."""
     scenario = problem.scenario
     objective = place["objective"] or scenario.inspect.objective
-    scenario = asked(scenario, tour=place["tour"], objective=objective, candidates=place["most_places"])
+    scenario = asked(scenario, objective=objective, candidates=place["most_places"])
     problem = dataclasses.replace(problem, scenario=scenario)
     wanted = problem.seeable.verdict == Verdict.SEEABLE
     began = time.perf_counter()
-    found = plan(problem, position=np.array(scenario.start.position), time=0.0, wanted=wanted, share=place["share"])
+    if place["tour"] == "nearest":
+        found = nearest_views(problem, wanted, place["share"])
+    else:
+        found = plan(problem, position=np.array(scenario.start.position), time=0.0, wanted=wanted, share=place["share"])
     seconds = time.perf_counter() - began
     areas = problem.patches.unit_areas()
     promised = np.unique(np.concatenate([np.zeros(0, int), *(view.units for view in found.views)]))

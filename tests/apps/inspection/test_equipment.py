@@ -100,7 +100,7 @@ def test_what_the_law_keeps_is_what_the_law_is_built_with(errors):
     flown, bound = scenario(guard=errors), 0.07
     ball, room = SphereField(jnp.zeros(3), jnp.asarray(2.0)), room_for_guard(Surroundings(flown, TARGET))
     law = law_on(flown, ball, bound, guidance=Straight(), from_start=False, **room)
-    kept = equipment.law_keeps(flown, TARGET, bound)
+    kept = equipment.require_stand_off(flown.replace(inspect={"stand_off": 10.0}), TARGET, bound)
     assert kept == pytest.approx(float(law.velocity.offset))
     equipment.require_stand_off(flown.replace(inspect={"stand_off": kept + 1e-9}), TARGET, bound)
     with pytest.raises(InspectionError, match=rf"inspect\.stand_off: .* guard keep {kept:.3f} m .*error 0\.070"):

@@ -9,7 +9,7 @@ from truths.box_problems import patches_and_sight, problem_of
 from truths.boxes import HALF, box_distance
 
 from keepout.apps.inspection.inspect import inspect
-from keepout.apps.inspection.light import Camera, Light
+from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.plan import InspectionPlan, PlannedView
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import InspectionError
@@ -127,7 +127,7 @@ def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_coun
     off = np.linalg.norm(found.record.position - found.record.estimated_position, axis=1)
     assert np.median(off) > 1e-3
     assert off.max() < 0.1
-    camera = Camera(problem.sight, problem.rules, problem.light)
+    camera = problem.camera
     taken, reached, differing = np.zeros(patches.units, dtype=bool), [], 0
     for frame in found.frames:
         row = int(np.searchsorted(found.record.time, frame.time))

@@ -6,7 +6,7 @@ import pytest
 from truths.made_up_inspection import made_up
 
 from keepout.apps.inspection import inspection_pictures
-from keepout.apps.inspection.inspection import FATE_COLOURS, Fate
+from keepout.apps.inspection.inspection import Fate
 from keepout.apps.inspection.inspection_pictures import best_views
 
 pytestmark = pytest.mark.long
@@ -23,7 +23,7 @@ def test_the_surface_has_the_colour_of_what_became_of_it(inspection, tmp_path):
     picture = matplotlib.image.imread(tmp_path / "surface.png")[..., :3]
     found = {}
     for kind in Fate:
-        colour = np.array([int(FATE_COLOURS[kind][place : place + 2], 16) / 255.0 for place in (1, 3, 5)])
+        colour = np.array([int(kind.colour[place : place + 2], 16) / 255.0 for place in (1, 3, 5)])
         share = picture @ colour / (colour @ colour)  # shaded, a colour keeps its direction
         found[kind] = ((np.abs(picture - share[..., None] * colour).max(axis=2) < 0.02) & (share > 0.5)).sum()
     assert all(

@@ -100,9 +100,9 @@ def most_there_is(views, lit, areas):
 def test_what_is_lit_for_a_moment_decides_the_order(places, sees, lit, areas, rows, times):
     views, when = views_at(places, sees), light(lit)
     tour = made(views, when, areas)
-    assert tour.rows.tolist() == rows
+    assert (tour.order - 1).tolist() == rows
     assert tour.area == pytest.approx(sum(areas))
-    assert shown(views, when, tour.rows, tour.times).all()
+    assert shown(views, when, tour.order - 1, tour.times).all()
     for at, latest in zip(tour.times, times, strict=True):
         assert latest is None or at <= latest + 1e-6
 
@@ -117,7 +117,7 @@ def test_small_tours_see_as_much_as_any_order_at_any_moments_does(seed):
     lit = light((spans >= begins) & (spans <= begins + generator.integers(0, 4, 6)))
     areas = generator.uniform(0.5, 2.0, 6)
     tour = made(views, lit, areas)
-    assert float(areas[shown(views, lit, tour.rows, tour.times)].sum()) == pytest.approx(tour.area)
+    assert float(areas[shown(views, lit, tour.order - 1, tour.times)].sum()) == pytest.approx(tour.area)
     assert tour.area >= most_there_is(views, lit, areas) - 1e-9
 
 
@@ -125,9 +125,9 @@ def test_small_tours_see_as_much_as_any_order_at_any_moments_does(seed):
 def test_no_more_views_than_asked_for_and_none_where_nothing_is_lit():
     views = views_at([[1.0, 0, 0], [2.0, 0, 0]], [[1, 0], [0, 1]])
     always = light(np.ones((10, 2)))
-    assert len(made(views, always, [1.0, 1.0], most_views=1).rows) == 1
-    assert len(made(views, always, [1.0, 1.0], goal=1.0).rows) == 1
-    assert len(made(views, light(np.zeros((10, 2))), [1.0, 1.0]).rows) == 0
+    assert len(made(views, always, [1.0, 1.0], most_views=1).order) == 1
+    assert len(made(views, always, [1.0, 1.0], goal=1.0).order) == 1
+    assert len(made(views, light(np.zeros((10, 2))), [1.0, 1.0]).order) == 0
 
 
 def every_order(views):

@@ -13,13 +13,12 @@ from keepout.apps.inspection import tour as tours
 from keepout.apps.inspection.tour import Legs, best_tour, flown, nearest_first, turning_time
 
 
-def legs_between(places, *, turns=None, windows=None, dwell=0.0, speed=0.1, acceleration=0.01):
+def legs_between(places, *, turns=None, dwell=0.0, speed=0.1, acceleration=0.01):
     apart = places[None] - places[:, None]
     lengths = np.linalg.norm(apart, axis=2)
     leave = apart / np.maximum(lengths, 1e-12)[..., None]
     turns = np.zeros_like(lengths) if turns is None else turns
-    windows = np.tile([[[-math.inf, math.inf]]], (len(places), 1, 1)) if windows is None else windows
-    return Legs(lengths, leave, turns, speed, acceleration, dwell, 0.0, windows)
+    return Legs(lengths, leave, turns, speed, acceleration, dwell, 0.0)
 
 
 SQUARE = np.array([[0.0, 0, 0], [10.0, 0, 0], [10.0, 10.0, 0]])
@@ -35,16 +34,6 @@ def test_a_corner_is_flown_through_by_hand():
     staying = flown(legs_between(SQUARE, dwell=30.0), np.array([1, 2]))
     assert staying.delta_v == pytest.approx(0.4)
     assert staying.end == pytest.approx(200.0 + 60.0 + 0.5 * 0.4 / 0.01)
-
-
-def test_light_is_waited_for_and_what_comes_too_late_is_never():
-    windows = np.full((3, 2, 2), np.nan)
-    windows[0, 0] = (-math.inf, math.inf)
-    windows[1] = [(0.0, 50.0), (300.0, 320.0)]
-    windows[2, 0] = (0.0, 10.0)
-    tour = flown(legs_between(SQUARE, windows=windows), np.array([1, 2]))
-    assert tour.times[0] == 300.0
-    assert tour.times[1] == math.inf
 
 
 def test_a_turn_from_rest_to_rest():

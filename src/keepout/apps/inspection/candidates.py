@@ -15,12 +15,13 @@ from scipy import sparse
 
 from keepout.apps.inspection.passive import Drifting
 from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.seeing.patches import Areas, Marks, Point, Units
 from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, visible
 from keepout.apps.led.camera import axes_across
 from keepout.core.cores import available_cores, kernel
+from keepout.core.geometry.distance import Points
 from keepout.core.progress import Progress, part_of, silent
 
-Point = Float[np.ndarray, "3"]
 _PLACES_EACH, _FEWEST_PLACES = 4, 64
 """Places drawn for every unit wanted, and at least; `inspect.candidates` at most."""
 INSIDE = 0.02
@@ -44,7 +45,6 @@ _RARE = 3
 _DIRECTIONS = 250
 _TURNS = ((0.15, 8), (0.08, 8), (0.03, 8))
 """Rad, and how many directions at that angle are tried about the best."""
-Vector = Float[np.ndarray, "3"]
 _STEPS = 60
 """Of the search for the middle, whose error falls with the number of steps."""
 
@@ -66,7 +66,7 @@ class Views:
     sees: sparse.csr_array
     places: int
 
-    def units(self, row: int | np.integer) -> Int[np.ndarray, " k"]:
+    def units(self, row: int | np.integer) -> Units:
         """Give the units that a view sees, whatever the light."""
         return self.sees.indices[self.sees.indptr[row] : self.sees.indptr[row + 1]]
 
@@ -108,22 +108,20 @@ class _Places:
         """The distance from the mesh that places keep, m."""
         return self.problem.scenario.inspect.stand_off + INSIDE
 
-    def allowed(self, places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    def allowed(self, places: Points) -> Bool[np.ndarray, " n"]:
         answer = self.problem.target.distance.distance(places) >= self.level
         answer[answer] = self.problem.room.allowed(places[answer])
         answer[answer] = self.safe(places[answer])
         return answer
 
-    def safe(self, places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    def safe(self, places: Points) -> Bool[np.ndarray, " n"]:
         if self.drifting is None:
             return np.ones(len(places), dtype=bool)
         answer = self.drifting.at_rest(places, self.time)
         self.unsafe += int(np.count_nonzero(~answer))
         return answer
 
-    def drawn(
-        self, generator: np.random.Generator, weights: Float[np.ndarray, " units"], rules: SeeingRules, count: int
-    ) -> Float[np.ndarray, "n 3"]:
+    def drawn(self, generator: np.random.Generator, weights: Areas, rules: SeeingRules, count: int) -> Points:
         """Draw places for units by their weights, where the chaser may be at all; fewer if that is hard."""
         kept, patches = np.zeros((0, 3)), self.problem.patches
         low, high = max(self.level, rules.least_range), _FAR * rules.greatest_range
@@ -146,7 +144,7 @@ class _Places:
 
 def candidates(
     problem: Problem,
-    wanted: Bool[np.ndarray, " units"],
+    wanted: Marks,
     time: float,
     *,
     within: SeeingRules | None = None,
@@ -178,7 +176,7 @@ def candidates(
     total = float(areas.sum())
     with ThreadPoolExecutor(available_cores()) as pool:
 
-        def take(some: Float[np.ndarray, "n 3"], by: SeeingRules, told: Progress) -> None:
+        def take(some: Points, by: SeeingRules, told: Progress) -> None:
             looks = pool.map(lambda place: visible(problem.sight, by, place, among=wanted), some)
             for n, (place, seen) in enumerate(zip(some, looks, strict=True)):
                 fitting = seen.only(seen.spread < rules.half_angle)
@@ -214,8 +212,8 @@ def candidates(
 
 
 def boresights_of(
-    seen: Visible, areas: Float[np.ndarray, " units"], times: Int[np.ndarray, " units"], half_angle: float
-) -> tuple[Float[np.ndarray, "b 3"], list[Int[np.ndarray, " _"]]]:
+    seen: Visible, areas: Areas, times: Int[np.ndarray, " units"], half_angle: float
+) -> tuple[Float[np.ndarray, "b 3"], list[Units]]:
     """Choose directions to look in at one place, each where most of what is left is wholly in the cone.
 
     Args:
@@ -271,14 +269,14 @@ def _gains(directions, enough, left, tried):
     return gains
 
 
-def _about(axis: Float[np.ndarray, "3"], angle: float, count: int) -> Float[np.ndarray, "n 3"]:
+def _about(axis: Point, angle: float, count: int) -> Points:
     """Give unit vectors all round an axis, at an angle from it, rad."""
     (side,), (other,) = axes_across(axis[None])
     turn = 2.0 * np.pi * np.arange(count)[:, None] / count
     return np.cos(angle) * axis + np.sin(angle) * (np.cos(turn) * side + np.sin(turn) * other)
 
 
-def _sphere(count: int) -> Float[np.ndarray, "n 3"]:
+def _sphere(count: int) -> Points:
     """Give directions all over the sphere, on Fibonacci's spiral."""
     index = np.arange(count) + 0.5
     height, turn = 1.0 - 2.0 * index / count, np.pi * (1.0 + 5.0**0.5) * index
@@ -286,14 +284,14 @@ def _sphere(count: int) -> Float[np.ndarray, "n 3"]:
     return np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
 
 
-def table_of(rows: list[Int[np.ndarray, " _"]], units: int) -> sparse.csr_array:
+def table_of(rows: list[Units], units: int) -> sparse.csr_array:
     """Give the matrix (rows, units) with 1 where a row names a unit."""
     starts = np.concatenate([[0], np.cumsum([len(row) for row in rows])]).astype(np.int64)
     index = np.concatenate(rows) if rows else np.zeros(0, dtype=np.int64)
     return sparse.csr_array((np.ones(len(index)), index, starts), shape=(len(rows), units))
 
 
-def middle_of(directions: Float[np.ndarray, "k 3"]) -> tuple[Vector, float]:
+def middle_of(directions: Points) -> tuple[Point, float]:
     """Give a unit vector whose greatest angle to unit vectors is nearly the least, and that angle, rad.
 
     Each step turns towards the farthest direction by a share that shrinks (Bădoiu and Clarkson's, on the sphere).
@@ -316,7 +314,7 @@ def middle_of(directions: Float[np.ndarray, "k 3"]) -> tuple[Vector, float]:
     return best, float(np.arccos(np.clip(least, -1.0, 1.0)))
 
 
-def aim(place: Vector, points: Float[np.ndarray, "k 3"], planned: Vector, half_angle: float) -> Vector:
+def aim(place: Point, points: Points, planned: Point, half_angle: float) -> Point:
     """Give the direction to look in from a place so that points are in the cone; the planned one if they are not.
 
     Args:

@@ -30,8 +30,10 @@ from keepout.apps.inspection.passive import (
     rows,
     states_at_times,
 )
+from keepout.apps.inspection.seeing.patches import Point
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import InspectionError
+from keepout.core.geometry.distance import Points
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.attitude import VVLHFixed
@@ -40,6 +42,7 @@ from keepout.core.motion.rotation import matrix
 
 TILTS = ((0.0, 0.0), *((share, math.radians(beta)) for share in (1.0, math.sqrt(3.0)) for beta in (0, 90, 180, 270)))
 """Motions across the orbit that are tried: b/a, and β in rad. √3 with 0 or 180° is a circle."""
+Sizes = float | Float[np.ndarray, " k"]
 _SIZES = 16
 """Heights tried for each tilt: from one that is surely too low to one that is surely enough, then between two."""
 _AFAR = 1e5
@@ -53,7 +56,6 @@ _PERIODS = 5.0
 """Control periods in which the velocity is brought to that of the way back."""
 _DONE = 0.1
 """Share of the velocity of the way back within which thrusting ends."""
-Point = Float[np.ndarray, "3"]
 _LONGEST = 0.1
 """Share of the mission's duration that the coast may take."""
 _TRIED = 24
@@ -94,10 +96,8 @@ class Circumnavigation:
         return CoastingLaw(*map(jnp.asarray, of))
 
 
-def hill_states(
-    mean_motion: float, height: float, across: float, tilt: float, phase: Float[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-    """Give positions (m) and velocities (m/s) in VVLH on an ellipse of Hill's equations, at phases φ (rad)."""
+def hill_states(mean_motion: float, height: Sizes, across: Sizes, tilt: Sizes, phase: Sizes) -> tuple[Points, Points]:
+    """Give positions (m) and velocities (m/s) in VVLH on an ellipse of Hill's equations, or on one each."""
     n, a, b = mean_motion, height, across
     place = np.stack([a * np.cos(phase), -2.0 * a * np.sin(phase), b * np.cos(phase + tilt)], axis=-1)
     rate = np.stack([-a * np.sin(phase), -2.0 * a * np.cos(phase), -b * np.sin(phase + tilt)], axis=-1)
@@ -154,13 +154,9 @@ def _tried(
     scenario: Scenario, distance: Distance, heights: Float[np.ndarray, "sizes tilts"]
 ) -> tuple[MotionState, Float[np.ndarray, "sizes tilts"], Bool[np.ndarray, "sizes tilts"]]:
     """Give the first states of ellipses (one after the other), bounds on how near they come, and if that is enough."""
-    motion = Surroundings(scenario).motion
-    n, (share, beta) = float(motion.orbit.mean_motion), np.tile(TILTS, (len(heights), 1)).T
-    begun = [
-        hill_states(n, height, height * of, at, np.zeros(1))
-        for height, of, at in zip(heights.ravel().tolist(), share.tolist(), beta.tolist(), strict=True)
-    ]
-    position, velocity = (np.concatenate(part) for part in zip(*begun, strict=True))
+    motion, height = Surroundings(scenario).motion, heights.ravel()
+    (share, beta), phase = np.tile(TILTS, (len(heights), 1)).T, np.zeros(len(height))
+    position, velocity = hill_states(float(motion.orbit.mean_motion), height, height * share, beta, phase)
     states = in_body(scenario, position, _closed(motion, position, velocity))
     radius, asked = scenario.chaser.radius, scenario.inspect.stand_off + _BAND
     least = asked - radius
@@ -170,9 +166,7 @@ def _tried(
     return states, clearance, clearance >= asked
 
 
-def _closed(
-    motion: RelativeMotion, position: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
+def _closed(motion: RelativeMotion, position: Points, velocity: Points) -> Points:
     """Change velocities along the orbit (VVLH, m/s) until the exact motion comes back along it after one orbit."""
     turning = replace(motion, attitude_motion=VVLHFixed(), centre_of_mass=np.zeros(3))
     period = 2.0 * math.pi / float(motion.orbit.mean_motion)
@@ -185,7 +179,7 @@ def _closed(
     return velocity
 
 
-def _axes(scenario: Scenario) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def _axes(scenario: Scenario) -> tuple[Float[np.ndarray, "3 3"], Point, Point]:
     """Give at the mission's start the rotation from VVLH to the body frame, its rate (rad/s) and the origin (m)."""
     motion = Surroundings(scenario).motion
     target = states_at_times(scenario, np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
@@ -195,7 +189,7 @@ def _axes(scenario: Scenario) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarra
     return np.asarray(turn), np.asarray(turning), np.asarray(motion.centre_of_mass)
 
 
-def in_body(scenario: Scenario, position: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 3"]) -> MotionState:
+def in_body(scenario: Scenario, position: Points, velocity: Points) -> MotionState:
     """Give states in the body frame at the mission's start from positions (m) and velocities (m/s) in VVLH.
 
     Positions in VVLH are told from the target's centre of mass.
@@ -318,7 +312,7 @@ def transfer(scenario: Scenario, distance: Distance, ellipse: Circumnavigation) 
 
 
 def _keeps(
-    scenario: Scenario, distance: Distance, position: Point, velocity: Float[np.ndarray, "n 3"], seconds: float
+    scenario: Scenario, distance: Distance, position: Point, velocity: Points, seconds: float
 ) -> Bool[np.ndarray, " n"]:
     """Prove of coasts from a place (VVLH) that they keep the stand-off, from the mission's start on."""
     asked = scenario.inspect.stand_off - scenario.chaser.radius

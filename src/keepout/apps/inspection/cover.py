@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.optimize import Bounds, linprog, milp
 
+from keepout.apps.inspection.seeing.patches import Areas
 from keepout.core.progress import Progress, silent
 
 _ROUNDING = 1e-6
@@ -55,7 +56,7 @@ class Cover:
 
 def fewest_views(
     sees: sparse.csr_array,
-    areas: Float[np.ndarray, " units"],
+    areas: Areas,
     goal: float,
     *,
     effort: float = 1.0,
@@ -119,7 +120,7 @@ def fewest_views(
     return Cover(best[order], min(bound, len(best)), len(first))
 
 
-def greedy_cover(sees: sparse.csr_array, areas: Float[np.ndarray, " units"], goal: float) -> Int[np.ndarray, " k"]:
+def greedy_cover(sees: sparse.csr_array, areas: Areas, goal: float) -> Int[np.ndarray, " k"]:
     """Take the view that adds most, again and again, until the goal is seen."""
     return Covering(sees, areas, goal).completed(_NO_VIEWS)
 
@@ -136,7 +137,7 @@ class Relaxed(NamedTuple):
     """
 
     taken: Float[np.ndarray, " views"]
-    prices: Float[np.ndarray, " units"]
+    prices: Areas
     area_price: float
     steps: int
 
@@ -153,7 +154,7 @@ class Covering:
     """
 
     sees: sparse.csr_array
-    areas: Float[np.ndarray, " units"]
+    areas: Areas
     goal: float
 
     @property
@@ -170,7 +171,7 @@ class Covering:
         return float(self.areas[np.asarray(self.sees[chosen].sum(axis=0)).ravel() > 0.0].sum())
 
     def completed(
-        self, kept: Int[np.ndarray, " m"], weights: Float[np.ndarray, " units"] | None = None, most: int | None = None
+        self, kept: Int[np.ndarray, " m"], weights: Areas | None = None, most: int | None = None
     ) -> Int[np.ndarray, " k"]:
         """Add views by greed until the goal is seen, nothing adds, or there are `most`.
 
@@ -256,9 +257,7 @@ class Covering:
                 uncovered[units] = 0.0
         return bound
 
-    def price_value(
-        self, unit_prices: Float[np.ndarray, " units"], area_price: float
-    ) -> tuple[float, Float[np.ndarray, " views"]]:
+    def price_value(self, unit_prices: Areas, area_price: float) -> tuple[float, Float[np.ndarray, " views"]]:
         """Bound from below how many views see the goal, by any prices.
 
         With π ≥ 0 and λ ≥ 0 the Lagrangian's least value over 0 ≤ x, m ≤ 1 is
@@ -326,7 +325,7 @@ class Covering:
         return costs, sparse.csr_array(sparse.vstack(matrix)), np.append(least, self._spare / scale), scale
 
 
-def shortlist(sees: sparse.csr_array, areas: Float[np.ndarray, " units"], most: int = _AMONG) -> Int[np.ndarray, " k"]:
+def shortlist(sees: sparse.csr_array, areas: Areas, most: int = _AMONG) -> Int[np.ndarray, " k"]:
     """Give the views, at most about `most`, that a good choice comes from: greedy covers, each without those before.
 
     What all see together they see together too: the first cover is complete.
@@ -348,9 +347,7 @@ def shortlist(sees: sparse.csr_array, areas: Float[np.ndarray, " units"], most: 
     return np.sort(np.concatenate(kept)) if kept else left
 
 
-def merged_units(
-    sees: sparse.csr_array, areas: Float[np.ndarray, " units"]
-) -> tuple[sparse.csr_array, Float[np.ndarray, " classes"]]:
+def merged_units(sees: sparse.csr_array, areas: Areas) -> tuple[sparse.csr_array, Float[np.ndarray, " classes"]]:
     """Join units that exactly the same views see, adding their areas; leave out those without area or view."""
     columns = sparse.csc_array(sees)[:, areas > 0.0]
     areas = areas[areas > 0.0]

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.light import Camera, Light
 from keepout.apps.inspection.problem import patch_size, rules_of
-from keepout.apps.inspection.seeing.patches import Patches, cut
+from keepout.apps.inspection.seeing.patches import Marks, Patches, Point, Units, cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.led.camera import angle_between
 from keepout.core.errors import InspectionError
@@ -26,7 +25,6 @@ from keepout.core.mission.task_entries import CameraEntry
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 
-Vector = Float[np.ndarray, "3"]
 FORMAT, VERSION = "keepout-frames", 1
 _HEADER = "keepout_frames"
 _AXES = ("x", "y", "z")
@@ -49,13 +47,13 @@ class Frame:
     """
 
     time: float
-    position: Float[np.ndarray, "3"]
-    boresight: Float[np.ndarray, "3"]
-    sun: Float[np.ndarray, "3"] | None
-    units: Int[np.ndarray, " k"]
+    position: Point
+    boresight: Point
+    sun: Point | None
+    units: Units
 
     @property
-    def sun_or_nan(self) -> Float[np.ndarray, "3"]:
+    def sun_or_nan(self) -> Point:
         """The sun as arrays of numbers hold it: nan where there is none."""
         return _NONE if self.sun is None else self.sun
 
@@ -65,12 +63,12 @@ class Shot:
     """A frame as the camera was told: at which row of the flight's record, and along which unit vector."""
 
     row: int
-    boresight: Vector
+    boresight: Point
 
 
 def as_flown(
     record: FlightRecord, shots: Sequence[Shot], camera: Camera, *, progress: Progress = silent
-) -> tuple[tuple[Frame, ...], Bool[np.ndarray, " units"]]:
+) -> tuple[tuple[Frame, ...], Marks]:
     """Say what each frame truly showed, and what all of them together.
 
     Args:
@@ -112,7 +110,7 @@ class Recomputed:
 
     patches: Patches
     frames: tuple[Frame, ...]
-    seen: Bool[np.ndarray, " units"]
+    seen: Marks
     breaches: tuple[str, ...]
     same: bool
 

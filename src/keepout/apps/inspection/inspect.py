@@ -11,11 +11,11 @@ import time
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from keepout.apps.inspection.candidates import aim
 from keepout.apps.inspection.circumnavigation import Circumnavigation, circumnavigations, transfer
-from keepout.apps.inspection.frames import Camera, Shot
+from keepout.apps.inspection.frames import Shot
 from keepout.apps.inspection.inspection import Inspection
 from keepout.apps.inspection.leading import AroundMesh
 from keepout.apps.inspection.light import ever_lit
@@ -29,9 +29,11 @@ from keepout.apps.inspection.problem import (
     require_something_to_see,
     rules_of,
 )
-from keepout.apps.inspection.seeing.visible import visible
+from keepout.apps.inspection.seeing.patches import Marks, Point
+from keepout.apps.inspection.seeing.visible import in_view, visible
 from keepout.apps.inspection.views_ahead import ViewsAhead
-from keepout.apps.led.driver import Ended, Leader, LedFlight, Point, judged, lead
+from keepout.apps.inspection.ways import way_length
+from keepout.apps.led.driver import Ended, Leader, LedFlight, judged, lead
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import InspectionError
 from keepout.core.fields.model import FieldModel
@@ -94,12 +96,11 @@ def inspect(
     leading = AroundMesh.of(scenario, target, model=model, progress=part_of(progress, 0.0, 0.1))
     if problem is None:
         problem = Problem.of(scenario, target, room=room, progress=part_of(progress, 0.1, 0.4))
-    camera = Camera(problem.sight, problem.rules, problem.light)
     require_light(scenario, problem.light, problem.patches)
-    lit = ever_lit(camera, problem.seeable.possible, scenario.duration)
+    lit = ever_lit(problem.camera, problem.seeable.possible, scenario.duration)
     require_something_to_see(scenario, problem.seeable, lit)
     wanted = Wanted(problem.patches, lit, scenario.inspect.coverage)
-    ahead = ViewsAhead(scenario, problem, leading, camera, wanted, first=first, progress=part_of(progress, 0.4, 0.5))
+    ahead = ViewsAhead(scenario, problem, leading, wanted, first=first, progress=part_of(progress, 0.4, 0.5))
     return UnderWay(ahead, began).flown(part_of(progress, 0.5, 1.0))
 
 
@@ -130,7 +131,7 @@ class UnderWay(Leader):
 
     def __init__(self, ahead: ViewsAhead, began: float) -> None:
         self.scenario, self.problem, self.leading = ahead.scenario, ahead.problem, ahead.leading
-        self.camera, self.ahead, self.began = ahead.camera, ahead, began
+        self.ahead, self.began = ahead, began
         self.ticks = round(self.scenario.camera.period / self.scenario.control.period)
         self.estimate = np.asarray(self.scenario.start.position, dtype=float)
         self.boresight = boresight_of(self.scenario, self.problem.target)
@@ -148,7 +149,7 @@ class UnderWay(Leader):
         flown, told = judged(self.scenario, target, flight.setup, flight.log(), certified), part_of(progress, 0.93, 1.0)
         found = {"possible": ahead.wanted.possible, "plan": ahead.first, "plans": ahead.plans, "drifts": ahead.drifts}
         found["field_sha256"] = self.leading.field_sha256
-        return Inspection.of(self.problem, flown, self.camera, self.shots, ended, self.began, progress=told, **found)
+        return Inspection.of(self.problem, flown, self.shots, ended, self.began, progress=told, **found)
 
     def resting(self) -> FlightSetup:
         """Give what the chaser rests by: the law to where it is, or beside it."""
@@ -166,7 +167,7 @@ class UnderWay(Leader):
             self.estimate = estimate
             if row == flight.rows - 1:
                 self.shots.append(Shot(row, self.boresight.direction))
-                units = self.camera.units(row * period, estimate, self.boresight.direction, wanted.left)
+                units = self.problem.camera.units(row * period, estimate, self.boresight.direction, wanted.left)
                 wanted.take(units)
                 if leg is not None:
                     leg.noted(row * period, estimate, self.boresight, self._aimed(), len(units))
@@ -237,14 +238,12 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
             f"inspect.hold_points: {len(scenario.inspect.hold_points)}; a circumnavigation is held nowhere: leave them "
             'out, or give inspect.tour = "plan"'
         )
-    possible = problem.seeable.possible
-    camera = Camera(problem.sight, problem.rules, problem.light)
-    lit = ever_lit(camera, possible, scenario.duration)
+    lit = ever_lit(problem.camera, problem.seeable.possible, scenario.duration)
     ellipses = circumnavigations(scenario, target.distance.distance)
     progress(0.1, f"{len(ellipses)} ellipses")
     shares = []
     for done, ellipse in enumerate(ellipses):
-        shares.append(_promised(problem, camera, ellipse, lit))
+        shares.append(_promised(problem, ellipse, lit))
         progress(0.1 + 0.3 * (done + 1) / len(ellipses), f"an ellipse of height {ellipse.height:.1f} m")
     best = int(np.argmax([problem.patches.coverage(share) for share in shares]))
     ellipse = ellipses[best]
@@ -265,8 +264,6 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     initial = motion.initial_state(ellipse.position[0], ellipse.velocity[0])
     log = fly(setup, initial, scenario.steps, jax.random.key(scenario.seed))
     progress(0.6, "flown")
-    time_flown, position = np.asarray(log.time), np.asarray(log.position)
-    way = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     certified = None if guard is None else bool(guard.certified_start(initial))
     why = (
         f"{ellipse.turns:.2f} turns on an ellipse {ellipse.height:.2f} m high and {ellipse.across:.2f} m across, "
@@ -275,9 +272,10 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     )
     flown = judged(scenario, target, setup, log, certified)
     shots = _shots(problem, np.asarray(log.estimated_position), lit)
-    plan = InspectionPlan((), shares[best], way, float(time_flown[-1]), len(ellipses), 0, 0)
+    way, lasts = way_length(np.asarray(log.position)), float(np.asarray(log.time)[-1])
+    plan = InspectionPlan((), shares[best], way, lasts, len(ellipses), 0, 0)
     found, told = {"possible": lit, "plan": plan, "plans": 1, "transfer": onto}, part_of(progress, 0.7, 1.0)
-    return Inspection.of(problem, flown, camera, shots, Ended("out of time", why), begun, progress=told, **found)
+    return Inspection.of(problem, flown, shots, Ended("out of time", why), begun, progress=told, **found)
 
 
 def _begun_on(scenario: Scenario, ellipse: Circumnavigation) -> Scenario:
@@ -287,21 +285,19 @@ def _begun_on(scenario: Scenario, ellipse: Circumnavigation) -> Scenario:
     return scenario.replace(start=start, goal={"position": tuple(far.tolist())})
 
 
-def _promised(
-    problem: Problem, camera: Camera, ellipse: Circumnavigation, wanted: Bool[np.ndarray, " units"]
-) -> Bool[np.ndarray, " units"]:
+def _promised(problem: Problem, ellipse: Circumnavigation, wanted: Marks) -> Marks:
     """Say which units are visible from some places along an ellipse, in light, whichever way the camera looks."""
     seen = np.zeros_like(wanted)
     for index in np.unique(np.linspace(0, len(ellipse.times) - 1, _TRIED).astype(int)):
         units = visible(problem.sight, problem.rules, ellipse.position[index], among=wanted & ~seen).units
         if problem.light.matters:
-            sun = camera.light.sun(float(ellipse.times[index]))
-            units = units[:0] if sun is None else units[camera.lit(sun, units)]
+            sun = problem.light.sun(float(ellipse.times[index]))
+            units = units[:0] if sun is None else units[problem.camera.lit(sun, units)]
         seen[units] = True
     return seen
 
 
-def _shots(problem: Problem, estimated: Float[np.ndarray, "rows 3"], wanted: Bool[np.ndarray, " units"]) -> list[Shot]:
+def _shots(problem: Problem, estimated: Float[np.ndarray, "rows 3"], wanted: Marks) -> list[Shot]:
     """Turn the camera as on board: by the estimated positions, towards the middle of what is still to be seen."""
     scenario, target = problem.scenario, problem.target
     ticks = round(scenario.camera.period / scenario.control.period)
@@ -312,9 +308,7 @@ def _shots(problem: Problem, estimated: Float[np.ndarray, "rows 3"], wanted: Boo
         place = estimated[row]
         shots.append(Shot(row, boresight.direction))
         shown = visible(problem.sight, problem.rules, place, among=left)
-        if len(shown.units):
-            off = np.arccos(np.clip(shown.directions @ boresight.direction, -1.0, 1.0)) + shown.spread
-            left[shown.units[off <= problem.rules.half_angle]] = bool(problem.light.matters)
+        left[shown.units[in_view(shown, boresight.direction, problem.rules.half_angle)]] = problem.light.matters
         towards = areas[shown.units] @ shown.directions
         aimed = towards if np.linalg.norm(towards) > 1e-9 else middle - place
         for _ in range(every):

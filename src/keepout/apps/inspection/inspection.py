@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Float, Int, Int8
 
 from keepout.apps.inspection.circumnavigation import Transfer
-from keepout.apps.inspection.frames import Camera, Frame, Shot, as_flown
+from keepout.apps.inspection.frames import Frame, Shot, as_flown
 from keepout.apps.inspection.limits import LimitsKept, limits_kept
 from keepout.apps.inspection.passive import DriftsFlown
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.patches import Marks, Patches
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.led.driver import Ended, Led
@@ -51,11 +51,11 @@ class Inspection(Led):
     patches: Patches
     rules: SeeingRules
     seeable: Seeable
-    possible: Bool[np.ndarray, " units"]
+    possible: Marks
     plan: InspectionPlan
     plans: int
     frames: tuple[Frame, ...]
-    seen: Bool[np.ndarray, " units"]
+    seen: Marks
     limits: LimitsKept | None = None
     drifts: DriftsFlown | None = None
     transfer: Transfer | None = None
@@ -66,7 +66,6 @@ class Inspection(Led):
         cls,
         problem: Problem,
         flight: Flight,
-        camera: Camera,
         shots: Sequence[Shot],
         ended: Ended,
         began: float,
@@ -79,7 +78,6 @@ class Inspection(Led):
         Args:
             problem: what was to be seen.
             flight: at its end.
-            camera: what it sees.
             shots: frames as the camera was told to take them.
             ended: how it ended.
             began: when the computation began, s by `time.perf_counter`.
@@ -87,7 +85,7 @@ class Inspection(Led):
             **found: further entries of the inspection.
 
         """
-        frames, seen = as_flown(flight.record, shots, camera, progress=progress)
+        frames, seen = as_flown(flight.record, shots, problem.camera, progress=progress)
         scenario, entry, limits = flight.scenario, flight.scenario.inspect, None
         if entry.hold_points or entry.no_thrust_towards or entry.passive_safety:
             ticks = round(scenario.camera.period / scenario.control.period)
@@ -107,7 +105,7 @@ class Inspection(Led):
         return float(self.flown.delta_v) + (0.0 if self.transfer is None else self.transfer.delta_v)
 
     @property
-    def lit(self) -> Bool[np.ndarray, " units"]:
+    def lit(self) -> Marks:
         """The units of which it is known that they can be seen, and be lit in the mission's time."""
         return self.possible & (self.seeable.verdict == Verdict.SEEABLE)
 
@@ -121,7 +119,7 @@ class Inspection(Led):
         """Share of what surely can be seen, and be lit in the mission's time, that was seen; without the undecided."""
         return self._share_of(self.lit)
 
-    def _share_of(self, units: Bool[np.ndarray, " units"]) -> float:
+    def _share_of(self, units: Marks) -> float:
         whole = self.patches.coverage(units)
         return self.patches.coverage(self.seen & units) / whole if whole > 0.0 else 1.0
 
@@ -180,44 +178,37 @@ class Inspection(Led):
 
 
 class Fate(enum.IntEnum):
-    """What became of a unit."""
+    """What became of a unit.
 
-    SEEN = 0
+    Attributes:
+        words: for people.
+        colour: told apart by colour-blind readers, on light paper and on a dark ground.
+
+    """
+
+    words: str
+    colour: str
+
+    SEEN = 0, "seen", "#2fa77d"
     """Wholly, in a frame of the flight."""
-    MISSED = 1
+    MISSED = 1, "could be seen, was not", "#d9722e"
     """Not seen, though it can be, and is lit at some time of the mission."""
-    SHADOWED = 2
+    SHADOWED = 2, "never lit", "#3f5fa8"
     """Not seen, and never lit in the mission's time, though there is a place to see it from."""
-    ENCLOSED_BY_RAYS = 3
+    ENCLOSED_BY_RAYS = 3, "hidden: enclosed, by rays", "#5b616b"
     """Proved hidden. Measured: each of many rays from its middle meets the mesh."""
-    NARROW_BY_RAYS = 4
+    NARROW_BY_RAYS = 4, "hidden: too narrow, by rays", "#b76aa4"
     """Proved hidden. Measured: some of these rays gets out, so that incidence, range, stand-off or width forbid it."""
-    UNDECIDED = 5
+    UNDECIDED = 5, "undecided", "#e8d44a"
     """Not seen, and neither a place to see it from is known nor a proof that there is none."""
-    NOT_COUNTED = 6
+    NOT_COUNTED = 6, "not counted", "#c9ced6"
     """Nobody asks for it: the inner side of a closed part."""
 
-
-WORDS = {
-    Fate.SEEN: "seen",
-    Fate.MISSED: "could be seen, was not",
-    Fate.SHADOWED: "never lit",
-    Fate.ENCLOSED_BY_RAYS: "hidden: enclosed, by rays",
-    Fate.NARROW_BY_RAYS: "hidden: too narrow, by rays",
-    Fate.UNDECIDED: "undecided",
-    Fate.NOT_COUNTED: "not counted",
-}
-"""For people."""
-FATE_COLOURS = {
-    Fate.SEEN: "#2fa77d",
-    Fate.MISSED: "#d9722e",
-    Fate.SHADOWED: "#3f5fa8",
-    Fate.ENCLOSED_BY_RAYS: "#5b616b",
-    Fate.NARROW_BY_RAYS: "#b76aa4",
-    Fate.UNDECIDED: "#e8d44a",
-    Fate.NOT_COUNTED: "#c9ced6",
-}
-"""Told apart by colour-blind readers, on light paper and on a dark ground."""
+    def __new__(cls, number: int, words: str, colour: str) -> "Fate":
+        """Make one of the kinds above."""
+        self = int.__new__(cls, number)
+        self._value_, self.words, self.colour = number, words, colour
+        return self
 
 
 def fates(inspection: Inspection) -> Int8[np.ndarray, " units"]:

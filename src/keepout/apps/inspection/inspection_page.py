@@ -13,18 +13,10 @@ from jaxtyping import Float, Int
 
 from keepout.apps.inspection import inspection_pictures as pictures
 from keepout.apps.inspection.frames import save_frames
-from keepout.apps.inspection.inspection import (
-    FATE_COLOURS,
-    WORDS,
-    Fate,
-    Inspection,
-    fates,
-    first_frames,
-    shares,
-    unseen,
-)
+from keepout.apps.inspection.inspection import Fate, Inspection, fates, first_frames, shares, unseen
 from keepout.apps.inspection.inspection_pictures import PatchMesh
 from keepout.apps.inspection.seeing.patches import Patches
+from keepout.core.geometry.distance import Points
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.drawn import MOST_TRIANGLES, fewer
@@ -40,7 +32,7 @@ _SHARES = {
     "seeable": "surely can be seen from the room allowed",
     "seeable_and_lit": "and is lit in the mission's time",
     "hidden": "proved hidden from the room allowed",
-    **{kind.name.lower(): WORDS[kind] for kind in Fate if kind is not Fate.NOT_COUNTED},
+    **{kind.name.lower(): kind.words for kind in Fate if kind is not Fate.NOT_COUNTED},
     "seen_beyond_proof": "seen, though proved hidden from the room allowed",
 }
 ROWS = {
@@ -137,7 +129,7 @@ def _tell_surface(page: Page, inspection: Inspection, shares: dict[str, float]) 
     """Say the shares of the area counted; what the pictures colour has its colour."""
     page.heading("The surface")
     area = float(inspection.patches.unit_areas().sum())
-    colours = {kind.name.lower(): FATE_COLOURS[kind] for kind in Fate}
+    colours = {kind.name.lower(): kind.colour for kind in Fate}
     rows = []
     for key, share in shares.items():
         if key == "seen_beyond_proof" and share == 0.0:
@@ -229,8 +221,7 @@ class Coverage(Layer):
             "half_angle": self.rules.half_angle,
             "reach": self.rules.greatest_range,
             "legend": [
-                {"words": WORDS[kind], "colour": FATE_COLOURS[kind], "shown": bool((self.fates == kind).any())}
-                for kind in Fate
+                {"words": kind.words, "colour": kind.colour, "shown": bool((self.fates == kind).any())} for kind in Fate
             ],
             "remark": self._remark(),
         }
@@ -248,7 +239,7 @@ class Coverage(Layer):
 def _units(
     mesh: PatchMesh,
     patches: Patches,
-    vertices: Float[np.ndarray, "v 3"],
+    vertices: Points,
     faces: Int[np.ndarray, "f 3"],
     became: Int[np.ndarray, " g"],
 ) -> Int[np.ndarray, "f 2"]:

@@ -14,8 +14,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Circle, Patch
 from scipy.ndimage import binary_erosion
 
-from keepout.apps.inspection.inspection import FATE_COLOURS, WORDS, Fate, Inspection, fates
-from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.inspection import Fate, Inspection, fates
+from keepout.apps.inspection.seeing.patches import Patches, Point, Units
 from keepout.apps.inspection.seeing.sightlines import slab
 from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.led.first_hit import FirstHit
@@ -51,7 +51,7 @@ class Picture:
     """
 
     camera: Pinhole
-    position: Float[np.ndarray, "3"]
+    position: Point
     axes: Float[np.ndarray, "3 3"]
     face: Int[np.ndarray, "rows columns"]
     depth: Float[np.ndarray, "rows columns"]
@@ -84,7 +84,7 @@ class Studio:
         self._first_hit = FirstHit(self.triangles.reshape(-1, 3), np.arange(3 * len(self.triangles)).reshape(-1, 3))
         self.normals = self._first_hit.normals
 
-    def take(self, camera: Pinhole, position: Float[np.ndarray, "3"], axes: Float[np.ndarray, "3 3"]) -> Picture:
+    def take(self, camera: Pinhole, position: Point, axes: Float[np.ndarray, "3 3"]) -> Picture:
         """Take a picture.
 
         Args:
@@ -99,7 +99,7 @@ class Studio:
         with np.errstate(divide="ignore"):
             return Picture(camera, position, axes, face, 1.0 / inverse)
 
-    def light(self, picture: Picture, sun: Float[np.ndarray, "3"] | None = None) -> Float[np.ndarray, "rows columns"]:
+    def light(self, picture: Picture, sun: Point | None = None) -> Float[np.ndarray, "rows columns"]:
         """Say how bright each pixel is, 0 to 1: by the sun, with the shadows of all triangles, or by a headlight.
 
         Args:
@@ -227,10 +227,6 @@ class PatchMesh:
         _, kept, joined = np.unique(cells, axis=0, return_index=True, return_inverse=True)
         return cls(corners[kept], joined.reshape(-1)[faces], patch)
 
-    def triangles(self) -> Float[np.ndarray, "f 3 3"]:
-        """Give the corners of each face, m."""
-        return self.vertices[self.faces]
-
 
 @dataclass(frozen=True, eq=False)
 class BestView:
@@ -246,9 +242,9 @@ class BestView:
 
     """
 
-    units: Int[np.ndarray, " k"]
+    units: Units
     frame: int
-    shown: Int[np.ndarray, " s"]
+    shown: Units
     share: float
     distance: float
     sample_distance: float
@@ -297,7 +293,7 @@ def _shade_dark(axes: Axes, inspection: Inspection, end: float) -> None:
 def draw_fates(path: Path, inspection: Inspection) -> None:
     """Draw the surface from six sides, each place in the colour of what became of it, into one PNG."""
     fate, patches, mesh = fates(inspection), inspection.patches, PatchMesh.of(inspection.patches)
-    palette = np.array([to_rgb(FATE_COLOURS[kind]) for kind in Fate])
+    palette = np.array([to_rgb(kind.colour) for kind in Fate])
     shown: set[int] = set()
     with figure(path, width=11.0, height=7.6) as drawing:
         for axes, (name, side) in zip(drawing.subplots(2, 3).flat, _SIDES.items()):
@@ -310,9 +306,7 @@ def draw_fates(path: Path, inspection: Inspection) -> None:
             axes.set_title(name, fontsize=9)
             axes.tick_params(labelsize=7)
         shares = {kind: f", {patches.coverage(fate == kind):.2%}" for kind in Fate} | {Fate.NOT_COUNTED: ""}
-        handles = [
-            Patch(facecolor=FATE_COLOURS[kind], label=f"{WORDS[kind]}{shares[kind]}") for kind in Fate if kind in shown
-        ]
+        handles = [Patch(facecolor=kind.colour, label=f"{kind.words}{shares[kind]}") for kind in Fate if kind in shown]
         drawing.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8)
         drawing.suptitle("What became of the surface: shares are of the area counted", fontsize=10)
 
@@ -327,7 +321,7 @@ def draw_contact_sheet(path: Path, inspection: Inspection) -> None:
     light = any(frame.sun is not None for frame in inspection.frames)
     rows = max(1, math.ceil(len(views) / _ACROSS))
     mesh = PatchMesh.of(inspection.patches)
-    studio = Studio(mesh.triangles())
+    studio = Studio(mesh.vertices[mesh.faces])
     with figure(path, width=11.0, height=0.75 + 3.05 * rows) as drawing:
         panels = drawing.subplots(rows, _ACROSS, squeeze=False)
         for axes in panels.flat:
@@ -368,7 +362,7 @@ def best_picture(
 
 
 def _shown(
-    inspection: Inspection, view: BestView, mesh: PatchMesh, face: np.ndarray, position: Float[np.ndarray, "3"]
+    inspection: Inspection, view: BestView, mesh: PatchMesh, face: np.ndarray, position: Point
 ) -> Bool[np.ndarray, "rows columns"]:
     """Say which pixels show a unit of the part that counted as seen in this frame."""
     patches = inspection.patches
@@ -407,7 +401,7 @@ def best_views(inspection: Inspection) -> list[BestView]:
     return [_view(inspection, np.flatnonzero(part == k), int(best[k])) for k in order]
 
 
-def _view(inspection: Inspection, units: Int[np.ndarray, " k"], frame: int) -> BestView:
+def _view(inspection: Inspection, units: Units, frame: int) -> BestView:
     patches, areas = inspection.patches, inspection.patches.unit_areas()
     if frame < 0:
         return BestView(units, -1, units[:0], 0.0, np.nan, np.nan)
@@ -420,9 +414,7 @@ def _view(inspection: Inspection, units: Int[np.ndarray, " k"], frame: int) -> B
     return BestView(units, frame, shown, share, away, sample_distance)
 
 
-def _aspect(
-    patches: Patches, units: Int[np.ndarray, " k"], position: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+def _aspect(patches: Patches, units: Units, position: Point) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Give the cosine of the angle at which a camera looks at the middle of each unit, and how far off that is, m."""
     away = position - patches.centres[units // 2]
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
@@ -430,7 +422,7 @@ def _aspect(
     return np.maximum(np.einsum("ni,ni->n", away, normals) / distance, 1e-3), distance
 
 
-def _parts(patches: Patches, units: Int[np.ndarray, " k"], areas: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+def _parts(patches: Patches, units: Units, areas: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
     """Give each unit a part: first ones as far apart as can be, then each unit to the nearest, weighed by area."""
     centres = patches.centres[units // 2]
     size = max(float(np.linalg.norm(np.ptp(patches.corners.reshape(-1, 3), axis=0))), 1e-9)

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.apps.inspection.limits import sparing
-from keepout.apps.inspection.problem import law_keeps, require_stand_off
-from keepout.apps.led.driver import Leading, Point, moved
+from keepout.apps.inspection.problem import require_stand_off
+from keepout.apps.inspection.seeing.patches import Point
+from keepout.apps.led.driver import Leading, moved
 from keepout.core.control.barrier_grid import BarrierGrid
 from keepout.core.control.geodesic import GeodesicGuidance
 from keepout.core.control.law import Law
@@ -89,9 +90,8 @@ class AroundMesh(Leading):
         require_apart(scenario, target)
         require_navigation(scenario)
         bound = model.certificate(scenario.chaser.radius).error_bound
-        require_stand_off(scenario, target, bound)
         least = bound + scenario.chaser.radius + scenario.safety.margin
-        nominal = law_keeps(scenario, target, bound) - least
+        nominal = require_stand_off(scenario, target, bound) - least
         assumed = Surroundings(scenario, target).guard_assumptions
         kept = scenario.inspect.stand_off + float(assumed.position_error) + _WANDERING
         margin, stated = max(scenario.safety.margin, kept - scenario.chaser.radius - bound - nominal), scenario

@@ -17,11 +17,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Int8
+from jaxtyping import Array, Bool, Float, Int8
 
+from keepout.apps.inspection.seeing.patches import Marks, Point, Units
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules, in_frame, lit_units
 from keepout.core.errors import InspectionError
+from keepout.core.geometry.distance import Points
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
@@ -36,7 +38,6 @@ _LONGEST = 1e7
 """Seconds beyond which nobody asks for the sun."""
 _BLOCK = 1024
 """Control periods that are integrated together."""
-Vector = Float[np.ndarray, "3"]
 _STEPS, _MOST_STEPS = 120, 1200
 """Of the time looked at: so many where the light turns slowly, and at most."""
 _TURN = math.radians(1.25)
@@ -66,7 +67,7 @@ class Light:
         """Whether a patch must be lit to count as seen."""
         return self.scenario.light.kind != "none"
 
-    def sun(self, time: float) -> Float[np.ndarray, "3"] | None:
+    def sun(self, time: float) -> Point | None:
         """Give the unit vector towards the light at a time (s), body frame.
 
         None where light does not matter, and while the Earth hides any of the sun.
@@ -80,7 +81,7 @@ class Light:
         direction = self.suns([time])[0]
         return None if np.isnan(direction[0]) else direction
 
-    def suns(self, times: Sequence[float] | Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    def suns(self, times: Sequence[float] | Float[np.ndarray, " n"]) -> Points:
         """Give the same for many times at once, (n, 3); rows of nan where `sun` gives None.
 
         Raises:
@@ -104,9 +105,7 @@ class Light:
         found[~shines(position, toward)] = np.nan
         return found
 
-    def _inertial(
-        self, times: Float[np.ndarray, " n"]
-    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
+    def _inertial(self, times: Float[np.ndarray, " n"]) -> tuple[Points, Points, Float[np.ndarray, "n 3 3"]]:
         """Give the sun's direction and the target's position (m), both ECI, and the rotation body ← ECI."""
         scenario, motion = self.scenario, self._motion
         if scenario.sun.direction is None:
@@ -148,14 +147,14 @@ class Light:
         return _after(motion, states, jnp.asarray(np.maximum(times - whole * period, 0.0)))
 
 
-def _unit(given: Sequence[float]) -> Float[np.ndarray, "3"]:
+def _unit(given: Sequence[float]) -> Point:
     """Give a vector the length 1, however long or short it is: squares of its numbers may over- or underflow."""
     vector = np.asarray(given, dtype=np.float64)
     vector = vector / np.abs(vector).max()
     return vector / np.linalg.norm(vector)
 
 
-def shines(position: Float[np.ndarray, "n 3"], toward: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+def shines(position: Points, toward: Points) -> Bool[np.ndarray, " n"]:
     """Whether the Earth hides nothing of the sun's disc at ECI positions (m), for unit vectors towards the sun."""
     radius = np.linalg.norm(position, axis=1)
     nadir = -position / radius[:, None]
@@ -212,12 +211,10 @@ class Camera:
     sight: Sightlines
     rules: SeeingRules
     light: Light
-    _sun: Vector | None = None
+    _sun: Point | None = None
     _lit: Int8[np.ndarray, " units"] = field(default_factory=lambda: np.zeros(0, np.int8))
 
-    def units(
-        self, time: float, place: Vector, boresight: Vector, among: Bool[np.ndarray, " units"] | None = None
-    ) -> Int[np.ndarray, " k"]:
+    def units(self, time: float, place: Point, boresight: Point, among: Marks | None = None) -> Units:
         """Give the units wholly seen, by all the rules, in a frame.
 
         Args:
@@ -233,7 +230,7 @@ class Camera:
         units = in_frame(self.sight, self.rules, place, boresight, among=among)
         return units if sun is None else units[self.lit(sun, units)]
 
-    def lit(self, sun: Vector, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    def lit(self, sun: Point, units: Units) -> Bool[np.ndarray, " k"]:
         """Whether units are wholly lit from a direction (unit vector), at a fit incidence."""
         if self._sun is None or not np.array_equal(self._sun, sun):
             self._sun, self._lit = sun, np.full(self.sight.patches.units, -1, dtype=np.int8)
@@ -261,9 +258,7 @@ class LitTimes:
     changes: bool
 
     @classmethod
-    def of(
-        cls, camera: Camera, wanted: Bool[np.ndarray, " units"], begin: float, end: float, shortest: float
-    ) -> "LitTimes":
+    def of(cls, camera: Camera, wanted: Marks, begin: float, end: float, shortest: float) -> "LitTimes":
         """Look at the light from `begin` to `end` (s), at steps of at least `shortest` (s).
 
         Args:
@@ -290,7 +285,7 @@ class LitTimes:
         lit = np.array([nothing if dark[n] else lit_units(sight, rules, suns[n], among=wanted) for n in range(count)])
         return cls(times, lit, True)
 
-    def at(self, time: float) -> Bool[np.ndarray, " units"]:
+    def at(self, time: float) -> Marks:
         """Give what is lit at a time, s: at the looked-at times before and after it, or at that of them which it is."""
         if not self.changes:
             return self.lit[0]
@@ -301,7 +296,7 @@ class LitTimes:
             return self.lit[after]
         return self.lit[after] & self.lit[max(after - 1, 0)]
 
-    def windows(self, units: Int[np.ndarray, " k"]) -> list[tuple[float, float]]:
+    def windows(self, units: Units) -> list[tuple[float, float]]:
         """Give the times, s, from and to, in which all of some units are lit."""
         if not self.changes:
             return [(-math.inf, math.inf)]
@@ -321,9 +316,7 @@ def _turns(light: Light, begin: float, end: float, steps: int) -> int:
     return min(steps, math.ceil(steps * float(angles.max()) / _TURN)) if len(angles) else 0
 
 
-def ever_lit(
-    camera: Camera, units: Bool[np.ndarray, " units"], duration: float, *, begin: float = 0.0
-) -> Bool[np.ndarray, " units"]:
+def ever_lit(camera: Camera, units: Marks, duration: float, *, begin: float = 0.0) -> Marks:
     """Say which units are wholly lit at some time from `begin` to `duration` (s); all where light does not matter.
 
     The sun is looked at every few degrees of its way. What is lit only in between is left out: the answer is a lower

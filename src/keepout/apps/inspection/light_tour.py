@@ -3,7 +3,7 @@
 With a sun that turns and sets, a view is worth what of it is lit at the moment, and no order is good at another time.
 So the tour is made forward in time. From where the chaser is, each view is judged at the moments from its arrival on:
 by the area that it would newly show then, over the time until then, and what is lit only for a little longer counts for
-more. Where Δv counts, what is divided by is not the time alone (`Cost`). This greedy tour is then improved: from a
+more. Where Δv counts, what is divided by is not the time alone (`weights`). This greedy tour is then improved: from a
 random view on it is made again, with other weights and some chance, and what sees more, or as much at less cost, is
 kept.
 
@@ -21,13 +21,12 @@ from scipy import sparse
 
 from keepout.apps.inspection.candidates import Views
 from keepout.apps.inspection.cover import fewest_views, shortlist
-from keepout.apps.inspection.plan import InspectionPlan, Point, Task
-from keepout.apps.inspection.tour import Objective, Tour
+from keepout.apps.inspection.plan import InspectionPlan, Task
+from keepout.apps.inspection.seeing.patches import Areas, Point
+from keepout.apps.inspection.tour import Tour, weights
 from keepout.core.cores import kernel
 from keepout.core.progress import Progress
 
-_SIDE = 1e-3
-"""Seconds count so little where Δv is made least: ties are broken by them."""
 _BASE = 0.2
 """Share of the speed that every leg costs in Δv when views are compared: one straight ahead is not free."""
 _AHEAD = 12
@@ -51,47 +50,20 @@ _TRIES = 1500
 _TAKEN = 0.9
 """Share of the speed limit at which a tour is made: a law slows down for corners and near the target."""
 
-Areas = Float[np.ndarray, " units"]
 Stops = tuple[tuple[int, float], ...]
 """Rows of views, and the times at which they are worth something, s."""
 
 
-class Cost(NamedTuple):
-    """What an objective counts.
-
-    Attributes:
-        seconds: what a second costs.
-        delta_v: what 1 m/s costs.
-
-    """
-
-    seconds: float = 1.0
-    delta_v: float = 0.0
-
-    @classmethod
-    def of(cls, objective: Objective, worth: float) -> "Cost":
-        """Take it from a scenario's objective; `worth` is that of Δv where both count, s per m/s."""
-        return {"time": cls(), "delta_v": cls(_SIDE, 100.0), "both": cls(1.0, worth)}[objective]
-
-
 @dataclass(frozen=True, eq=False)
-class LightTour:
-    """Views in order, and when each is worth what it shows.
+class LightTour(Tour):
+    """Views in order, row 1 the first of them, and when each is worth what it shows.
 
     Attributes:
-        rows: (k,) of the views.
-        times: (k,) on arrival or later, when the light is better, s.
-        end: s.
         area: that the views show in time, m².
-        delta_v: with the stop at the end, m/s.
 
     """
 
-    rows: Int[np.ndarray, " k"]
-    times: Float[np.ndarray, " k"]
-    end: float
     area: float
-    delta_v: float
 
 
 class _Legs(NamedTuple):
@@ -129,7 +101,7 @@ class LightTours:
     def __post_init__(self) -> None:
         task, chaser, inspect = self.task, self.task.scenario.chaser, self.task.scenario.inspect
         self._speed, self._acceleration = _TAKEN * chaser.speed_limit, chaser.force_limit / chaser.mass
-        self._cost = Cost.of(inspect.objective, inspect.delta_v_worth)
+        self._prices = weights(inspect.objective, inspect.delta_v_worth, side=0.0)
         wanted = task.areas > 0.0
         sees, lit = sparse.csr_array(self.views.sees[:, wanted]), task.lit.lit[:, wanted]
         self._areas, self._indptr, self._indices = task.areas[wanted], sees.indptr.astype(np.int64), sees.indices
@@ -156,12 +128,13 @@ class LightTours:
         best = max((self._made((), scarcity, 0.0, generator) for scarcity in _SCARCITY), key=self._score)
         in_vain = 0
         for _ in range(tries):
-            if not len(best.rows) or in_vain >= _IN_VAIN:
+            if not len(best.order) or in_vain >= _IN_VAIN:
                 break
-            cut = int(generator.integers(len(best.rows)))
-            kept = tuple(zip(best.rows[:cut].tolist(), best.times[:cut].tolist(), strict=True))
+            rows = (best.order - 1).tolist()
+            cut = int(generator.integers(len(rows)))
+            kept = tuple(zip(rows[:cut], best.times[:cut].tolist(), strict=True))
             scarcity, chance = float(generator.choice(_SCARCITY)), float(generator.choice(_CHANCE))
-            tried = self._made(kept, scarcity, chance, generator, int(best.rows[cut]))
+            tried = self._made(kept, scarcity, chance, generator, rows[cut])
             in_vain += 1
             if self._score(tried) > self._score(best):
                 best, in_vain = tried, 0
@@ -169,7 +142,8 @@ class LightTours:
 
     def _score(self, tour: LightTour) -> tuple[float, float]:
         """Say how good a tour is: by what it shows, no more than is wanted, and then by what it costs."""
-        cost = self._cost.seconds * (tour.end - self.task.time) + self._cost.delta_v * tour.delta_v
+        of_seconds, of_delta_v = self._prices
+        cost = of_seconds * (tour.end - self.task.time) + of_delta_v * tour.delta_v
         return min(tour.area, self.task.goal * (1.0 - 1e-9)), -cost
 
     def _made(
@@ -202,7 +176,8 @@ class LightTours:
             self._strike(left, view, now)
             now, here = now + inspect.dwell, view
         shown, delta_v = whole - float(left.sum()), delta_v + float(np.linalg.norm(moving))
-        return LightTour(np.array(rows, dtype=np.int64), np.array(times, dtype=np.float64), now, shown, delta_v)
+        order = np.array(rows, dtype=np.int64) + 1
+        return LightTour(order, np.array(times, dtype=np.float64), now, delta_v, shown)
 
     def _legs(self, here: int, now: float, moving: Point, rows: Int[np.ndarray, " v"]) -> _Legs:
         """Give the legs from a view, or the start, to some, of a chaser that moves so (m/s)."""
@@ -240,7 +215,7 @@ class LightTours:
         enough: Bool[np.ndarray, " t"] | None = None
         while soonest < len(times):
             begins = self._next_light[np.clip(first, soonest, len(times))]
-            view, at = _next_view(shown, begins, times, now, gains, least, spent, tuple(self._cost))
+            view, at = _next_view(shown, begins, times, now, gains, least, spent, self._prices)
             if view >= 0:
                 return int(view), int(at)
             if enough is None:
@@ -294,14 +269,15 @@ def plan_in_light(task: Task, views: Views, progress: Progress) -> InspectionPla
     scenario, found = task.scenario, len(views.positions)
     views = views.only(shortlist(views.sees, task.areas, _AMONG))
     made = LightTours(task, views, task.nearly(views)).best(round(task.effort * _TRIES), seed=scenario.seed)
-    progress(0.6, f"{len(made.rows)} views show {made.area:.1f} m2 in time")
+    progress(0.6, f"{len(made.order)} views show {made.area:.1f} m2 in time")
     effort = _BOUND * task.effort
     bound = fewest_views(views.sees, task.areas, min(task.goal, made.area), effort=effort, seed=scenario.seed)
-    tour = Tour(np.arange(1, len(made.rows) + 1), made.times, made.end, made.delta_v)
+    # A view may be flown to twice, each time as a row of its own.
+    tour = replace(made, order=np.arange(1, len(made.order) + 1))
     return replace(
-        task.drawn_up(views.only(made.rows), tour, task.drifting).plan,
+        task.drawn_up(views.only(made.order - 1), tour, task.drifting).plan,
         candidates=found,
         short_list=len(views.positions),
-        fewest_views=min(bound.fewest, len(made.rows)),
+        fewest_views=min(bound.fewest, len(made.order)),
         greedy_views=bound.greedy,
     )

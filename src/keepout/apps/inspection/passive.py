@@ -498,7 +498,7 @@ class Drifting:
         """The least speed at which a leg is judged, m/s."""
         return _SPEEDS[-1] * self.scenario.chaser.speed_limit
 
-    def at_rest(self, places: Float[np.ndarray, "n 3"], time: float) -> Bool[np.ndarray, " n"]:
+    def at_rest(self, places: Points, time: float) -> Bool[np.ndarray, " n"]:
         """Say of places whether a drift from rest there at a time (s) is safe."""
         times = np.full(len(places), time)
         return self._safe(times, np.asarray(places, dtype=float), np.zeros((len(places), 3)), 0.0)
@@ -578,9 +578,6 @@ def _along(course: Course, begin: float, end: float) -> tuple[np.ndarray, ...]:
         course is before and after each, (n,) m.
 
     """
-    # A view for which no light comes is planned for no time.
-    begin = begin if math.isfinite(begin) else 0.0
-    end = end if math.isfinite(end) else begin
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(course, axis=0), axis=1))])
     whole = float(along[-1])
     if whole == 0.0:

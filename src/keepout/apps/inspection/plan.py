@@ -14,21 +14,21 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from keepout.apps.inspection.candidates import Views, tighter_rules
 from keepout.apps.inspection.light import LitTimes
 from keepout.apps.inspection.passive import Course, Drifting, DriftsPlanned
 from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.seeing.patches import Areas, Marks, Point, Units
 from keepout.apps.inspection.seeing.visible import SeeingRules, in_frame
 from keepout.apps.inspection.tour import Legs, Tour, flown, turning_time
 from keepout.apps.inspection.ways import Pairs, Ways, way_length
 from keepout.apps.led.camera import angle_between
 from keepout.core.cores import available_cores
+from keepout.core.geometry.distance import Points
 from keepout.core.mission.scenario import Scenario
 
-Point = Float[np.ndarray, "3"]
-Units = Int[np.ndarray, " _"]
 Between = tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]]
 """Lengths of the ways between a start, row 0, and views, m, and the unit vectors in which they set out."""
 _NODES = 60_000
@@ -58,15 +58,15 @@ class PlannedView:
 
     """
 
-    position: Float[np.ndarray, "3"]
-    boresight: Float[np.ndarray, "3"]
-    units: Int[np.ndarray, " k"]
+    position: Point
+    boresight: Point
+    units: Units
     window: tuple[float, float] = (0.0, float("inf"))
     dwell: float = 0.0
     speed: float = float("inf")
     at: float = 0.0
     way: float = 0.0
-    on_the_way: Int[np.ndarray, " j"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    on_the_way: Units = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class InspectionPlan:
     """
 
     views: tuple[PlannedView, ...]
-    covered: Bool[np.ndarray, " units"]
+    covered: Marks
     way_length: float
     duration: float
     candidates: int
@@ -99,7 +99,7 @@ class InspectionPlan:
     short_list: int = 0
     begin: float = 0.0
 
-    def seen_by(self, time: float) -> Bool[np.ndarray, " units"]:
+    def seen_by(self, time: float) -> Marks:
         """Give the units that the plan sees by a time, s: those of the views reached by then, and of the ways there."""
         if self.begin + self.duration <= time:
             return self.covered.copy()
@@ -110,7 +110,7 @@ class InspectionPlan:
         return seen
 
 
-def turned(first: Float[np.ndarray, "3"], last: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
+def turned(first: Point, last: Point, angle: float) -> Point:
     """Turn a unit vector towards another by an angle (rad), and no farther than there."""
     if angle >= angle_between(first, last):
         return last
@@ -144,15 +144,14 @@ def kept_safe(
         dwell: at every view, s.
 
     """
+    kept = [0, *tour.order.tolist()]
     if drifting is None:
-        order = [0, *tour.order.tolist()]
-        return tour, [course(*leg) for leg in pairwise(order)], [math.inf] * len(tour.order), None
-    at = dict(zip([0, *tour.order.tolist()], [begin, *tour.times.tolist()], strict=True))
+        return tour, [course(*leg) for leg in pairwise(kept)], [math.inf] * len(tour.order), None
+    at = dict(zip(kept, [begin, *tour.times.tolist()], strict=True))
     chaser = drifting.scenario.chaser
     limit, settle = chaser.speed_limit, chaser.speed_limit * chaser.mass / chaser.force_limit
     courses: dict[tuple[int, int], Course] = {}
     speeds: dict[tuple[int, int], float] = {}
-    kept = [0, *tour.order.tolist()]
     while fresh := [leg for leg in pairwise(kept) if leg not in speeds]:
         courses |= {leg: course(*leg) for leg in fresh}
         times = np.array([(at[a], at[b]) for a, b in fresh])
@@ -167,13 +166,13 @@ def kept_safe(
     for a, b in legs:
         way, slew = way_length(courses[a, b]), turn(a, b)
         quickest, lasts = max(way / limit, slew), at[b] - at[a]
-        spare = max(lasts - quickest - (dwell + settle), 0.0) if math.isfinite(lasts) else 0.0
+        spare = max(lasts - quickest - (dwell + settle), 0.0)
         behind = max(behind + max(way / speeds[a, b], slew) - quickest - spare, 0.0)
         moved_on.append(at[b] + behind)
     times = np.array(moved_on)
     planned, slowed = len(tour.order), sum(speeds[leg] < limit for leg in legs)
     told = DriftsPlanned(planned, len(legs), slowed, views_left_out=planned - len(legs))
-    late = float(times[-1]) - at[kept[-1]] if legs and math.isfinite(at[kept[-1]]) else 0.0
+    late = float(times[-1]) - at[kept[-1]] if legs else 0.0
     safe = dataclasses.replace(tour, order=np.array(kept[1:], dtype=np.int64), times=times, end=tour.end + late)
     return safe, [courses[leg] for leg in legs], [speeds[leg] for leg in legs], told
 
@@ -212,7 +211,7 @@ class Task:
 
     problem: Problem
     lit: LitTimes
-    areas: Float[np.ndarray, " units"]
+    areas: Areas
     goal: float
     ways: Ways
     position: Point
@@ -242,7 +241,7 @@ class Task:
         """Give the units wanted that a frame shows, in any light."""
         return in_frame(self.problem.sight, self.rules, place, boresight, among=self.areas > 0.0)
 
-    def turns(self, first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n m"]:
+    def turns(self, first: Points, second: Points) -> Float[np.ndarray, "n m"]:
         """Give the times that the boresight takes from some directions to others, s."""
         return turning_time(first, second, self.scenario.camera.turn_rate, self.scenario.camera.turn_acceleration)
 
@@ -265,30 +264,15 @@ class Task:
 
         return lambda row: from_place(tuple((self.position if row < 0 else views.positions[row]).tolist()))
 
-    def legs(self, views: Views, needs: list[Units], between: Between) -> Legs:
-        """Give what lies between the start and views, each of which must be lit for what it needs to show."""
-        scenario, looking = self.scenario, np.concatenate([self.boresight[None], views.boresights])
-        windows = [[(-math.inf, math.inf)], *(self.lit.windows(need) for need in needs)]
-        table = np.full((len(windows), max(1, *(len(several) for several in windows)), 2), np.nan)
-        for row, several in enumerate(windows):
-            table[row, : len(several)] = np.reshape(several, (-1, 2))
-        chaser, turns = scenario.chaser, self.turns(looking, looking)
-        pace = chaser.speed_limit, chaser.force_limit / chaser.mass, scenario.inspect.dwell
-        return Legs(*between, turns, *pace, self.time, table)
+    def legs(self, views: Views, between: Between) -> Legs:
+        """Give what lies between the start and views."""
+        chaser, looking = self.scenario.chaser, np.concatenate([self.boresight[None], views.boresights])
+        pace = chaser.speed_limit, chaser.force_limit / chaser.mass, self.scenario.inspect.dwell
+        return Legs(*between, self.turns(looking, looking), *pace, self.time)
 
     def flown(self, views: Views, between: Between) -> Tour:
         """Give the tour of views in the order of their rows."""
-        order = np.arange(1, len(views.positions) + 1)
-        return flown(self.legs(views, self.first_seen(views), between), order)
-
-    def first_seen(self, views: Views) -> list[Units]:
-        """Give for each row of views what it sees and none before does."""
-        seen, result = self.areas <= 0.0, []
-        for row in range(len(views.positions)):
-            units = views.units(row)
-            result.append(np.sort(units[~seen[units]]).astype(np.int64))
-            seen[units] = True
-        return result
+        return flown(self.legs(views, between), np.arange(1, len(views.positions) + 1))
 
     def passing(
         self,
@@ -316,8 +300,6 @@ class Task:
         def leg(n: int) -> Units:
             seen = [np.zeros(0, dtype=np.int64)]
             begin, end = times[n], times[n + 1]
-            if not math.isfinite(end):
-                return seen[0]
             lasts = round((end - begin) / _SAME)
             ends = boresights[n].tobytes(), boresights[n + 1].tobytes()
             key = (courses[n].tobytes(), *ends, b"%d %d" % (lasts, every))

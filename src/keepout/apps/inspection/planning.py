@@ -1,4 +1,4 @@
-"""A plan of an inspection: few views that see enough, in a good order; and the nearest-view tour beside it.
+"""A plan of an inspection: few views that see enough, in a good order.
 
 The number of views is made least first, then what the objective says: their order, by time, Δv or both. Frames on the
 way see more than the views were chosen for; views that become needless by that are left out.
@@ -16,32 +16,28 @@ from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.candidates import Views, aim, candidates, table_of
 from keepout.apps.inspection.cover import fewest_views, greedy_cover, shortlist
-from keepout.apps.inspection.light import Camera, LitTimes
+from keepout.apps.inspection.light import LitTimes
 from keepout.apps.inspection.light_tour import plan_in_light
-from keepout.apps.inspection.plan import Between, DrawnUp, InspectionPlan, Point, Task, Units
+from keepout.apps.inspection.plan import Between, DrawnUp, InspectionPlan, Task
 from keepout.apps.inspection.problem import Problem, boresight_of
+from keepout.apps.inspection.seeing.patches import Areas, Marks, Point, Units
 from keepout.apps.inspection.tour import Tour, best_tour
 from keepout.apps.inspection.ways import way_length
 from keepout.core.progress import Progress, part_of, silent
-
-_AMONG = 4000
-"""Views that the fewest are chosen from."""
-_ENOUGH = 0.2
-"""Of what the best view shows that is new, the share that makes a view of the nearest-view tour worth going to."""
 
 
 def plan(
     problem: Problem,
     *,
-    position: Float[np.ndarray, "3"],
+    position: Point,
     time: float,
-    wanted: Bool[np.ndarray, " units"],
+    wanted: Marks,
     share: float | None = None,
-    boresight: Float[np.ndarray, "3"] | None = None,
+    boresight: Point | None = None,
     effort: float = 1.0,
     progress: Progress = silent,
 ) -> InspectionPlan:
-    """Plan views that see a share of the area wanted, few of them, and their order; or the nearest-view tour.
+    """Plan views that see a share of the area wanted, few of them, and their order.
 
     Args:
         problem: what there is to be seen, and from where.
@@ -60,19 +56,13 @@ def plan(
     areas = problem.patches.unit_areas() * wanted
     if not areas.any():
         return InspectionPlan((), np.zeros_like(wanted), 0.0, 0.0, 0, 0, 0)
-    camera = Camera(problem.sight, problem.rules, problem.light)
-    lit = LitTimes.of(camera, wanted, time, max(scenario.duration, time), scenario.camera.period)
+    lit = LitTimes.of(problem.camera, wanted, time, max(scenario.duration, time), scenario.camera.period)
     views, unsafe = candidates(problem, wanted & lit.lit.any(axis=0), time, progress=part_of(progress, 0.0, 0.5))
     position = np.asarray(position, dtype=np.float64)
     boresight = boresight_of(scenario, problem.target).direction if boresight is None else boresight
     ways, goal = problem.ways_from(position), share * float(areas.sum())
     task, rest = Task(problem, lit, areas, goal, ways, position, boresight, time, effort), part_of(progress, 0.5, 1.0)
-    if scenario.inspect.tour == "nearest":
-        result = _nearest_views(task, views)
-    elif lit.changes:
-        result = plan_in_light(task, views, rest)
-    else:
-        result = _fewest_in_order(task, views, rest)
+    result = (plan_in_light if lit.changes else _fewest_in_order)(task, views, rest)
     progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
     drifts = None if result.drifts is None else replace(result.drifts, candidates_left_out=unsafe)
     return replace(result, drifts=drifts)
@@ -86,7 +76,7 @@ def _fewest_in_order(task: Task, views: Views, progress: Progress) -> Inspection
     places, at = np.unique(views.positions, axis=0, return_inverse=True)
     views = views.only(np.flatnonzero(task.ways.reached(task.position, places)[at.ravel()]))
     found = len(views.positions)
-    views = views.only(shortlist(views.sees, task.areas, _AMONG))
+    views = views.only(shortlist(views.sees, task.areas))
     work = {"effort": task.effort, "seed": scenario.seed, "progress": part_of(progress, 0.0, 0.6)}
     cover = fewest_views(views.sees, task.areas, task.goal, **work)
     arranger = Arranger(task, views, part_of(progress, 0.6, 1.0))
@@ -98,43 +88,6 @@ def _fewest_in_order(task: Task, views: Views, progress: Progress) -> Inspection
         result = task.drawn_up(best.views, best.tour, task.drifting).plan
     counts = {"candidates": found, "short_list": len(views.positions), "fewest_views": cover.fewest}
     return replace(result, **counts, greedy_views=cover.greedy)
-
-
-def _nearest_views(task: Task, views: Views) -> InspectionPlan:
-    """Go to the view that is soonest reached of those that show at least a fifth of what the best one would, and on.
-
-    It is a baseline: nothing is looked ahead and nothing proved, and the plan's least number of views is 0.
-    """
-    scenario, lit, areas, found = task.scenario, task.lit, task.areas, len(views.positions)
-    views = views.only(shortlist(views.sees, areas))
-    left, chosen, now, place, direction = areas.copy(), [], task.time, task.position, task.boresight
-    away, most = np.zeros(len(views.positions), dtype=bool), scenario.inspect.most_views
-    while areas.sum() - left.sum() < task.goal and len(chosen) < most and now <= scenario.duration:
-        gains: Float[np.ndarray, " v"] = np.where(away, 0.0, views.sees @ (left * lit.at(now)))
-        if not gains.any():
-            later = lit.times[lit.times > now]
-            if not lit.changes or len(later) == 0:
-                break
-            now = float(later[0])
-            continue
-        worth = np.flatnonzero(gains >= _ENOUGH * gains.max())
-        way = task.ways.nearly(place, views.positions[worth])
-        turn = task.turns(direction[None], views.boresights[worth])[0]
-        cost = np.maximum(way / scenario.chaser.speed_limit, turn)
-        best = worth[int(np.argmin(cost))]
-        if not np.isfinite(cost.min()):
-            away[worth] = True
-            continue
-        now += float(cost.min())
-        units = views.units(best)
-        left[units[lit.at(now)[units]]] = 0.0
-        place, direction = views.positions[best], views.boresights[best]
-        away[best] = not lit.changes
-        chosen.append(best)
-    kept = views.only(np.array(chosen, dtype=np.int64))
-    tour = task.flown(kept, task.between(kept))
-    result = task.drawn_up(kept, tour, task.drifting).plan
-    return replace(result, candidates=found, short_list=len(views.positions), greedy_views=len(chosen))
 
 
 _LED = 0.17
@@ -223,7 +176,7 @@ class Arranger:
         self, views: Views, between: Between, begin: Int[np.ndarray, " k"] | None, *, shaken: bool = True
     ) -> Arranged:
         inspect, seed = self.task.scenario.inspect, self.task.scenario.seed
-        legs = self.task.legs(views, self.task.first_seen(views), between)
+        legs = self.task.legs(views, between)
         tour = best_tour(legs, inspect.objective, worth=inspect.delta_v_worth, seed=seed, begin=begin, shaken=shaken)
         drawn = self.task.drawn_up(views, tour)
         self.progress(0.5, f"{len(drawn.plan.views)} views, {drawn.plan.way_length:.0f} m")
@@ -418,7 +371,7 @@ def in_short_time(arranger: Arranger, best: Arranged) -> Arranged:
     return max([first, *fair], key=seen)
 
 
-def _keeps_up(one: InspectionPlan, first: InspectionPlan, areas: Float[np.ndarray, " units"], end: float) -> bool:
+def _keeps_up(one: InspectionPlan, first: InspectionPlan, areas: Areas, end: float) -> bool:
     """Whether a plan is nowhere behind another at a quarter of its way."""
     mine, seen = _over_way(one, areas, end)
     theirs, seen_by_them = _over_way(first, areas, end)
@@ -429,7 +382,7 @@ def _keeps_up(one: InspectionPlan, first: InspectionPlan, areas: Float[np.ndarra
 
 
 def _over_way(
-    plan: InspectionPlan, areas: Float[np.ndarray, " units"], end: float
+    plan: InspectionPlan, areas: Areas, end: float
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Give the ways flown by the mission's end after each view, m, and the areas seen by then, m²; 0 and 0 at first."""
     ways, shares, left = [0.0], [0.0], areas.copy()

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
-from keepout.apps.inspection.light import Light
+from keepout.apps.inspection.light import Camera, Light
 from keepout.apps.inspection.limits import Protected
-from keepout.apps.inspection.seeing.patches import MOST_PATCHES, Patches, cut
+from keepout.apps.inspection.seeing.patches import MOST_PATCHES, Marks, Patches, Point, Units, cut
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, seeable
 from keepout.apps.inspection.seeing.sightlines import Sightlines
@@ -45,13 +45,10 @@ _ROUNDING = 1e-12
 
 def rules_of(scenario: Scenario) -> SeeingRules:
     """Give the limits of a scenario's camera and light."""
-    camera, finest = scenario.camera, scenario.camera.greatest_sample_distance
+    of_camera = ("field_of_view", "pixels", "least_range", "greatest_range", "greatest_incidence")
+    finest = scenario.camera.greatest_sample_distance
     return SeeingRules(
-        field_of_view=camera.field_of_view,
-        pixels=camera.pixels,
-        least_range=camera.least_range,
-        greatest_range=camera.greatest_range,
-        greatest_incidence=camera.greatest_incidence,
+        **{name: getattr(scenario.camera, name) for name in of_camera},
         greatest_sample_distance=math.inf if finest is None else finest,
         greatest_sun_incidence=scenario.light.greatest_incidence,
     )
@@ -124,39 +121,29 @@ def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None
     return room
 
 
-def law_keeps(scenario: Scenario, target: Target, error_bound: float) -> float:
+def require_stand_off(scenario: Scenario, target: Target, error_bound: float) -> float:
     """Give the room, m, that law and guard keep between the chaser's centre and the mesh, as the field says it.
 
     Args:
-        scenario: as flown.
+        scenario: as flown, by the law "default".
         target: its mesh.
         error_bound: e_h of the field that the law flies by, m.
 
     Raises:
+        InspectionError: it is more than the stand-off, at which the law then does not fly.
         ControlError: the thrusters cannot meet the guard's assumptions.
 
     """
-    by_default = scenario.control.profile == "default"
-    own = least_offset(scenario.chaser.speed_limit, scenario.control.period) if by_default else 0.0
-    room = room_for_guard(Surroundings(scenario, target)).get("nominal_offset", own)
-    return error_bound + scenario.chaser.radius + scenario.safety.margin + room
-
-
-def require_stand_off(scenario: Scenario, target: Target, error_bound: float) -> None:
-    """Refuse a stand-off at which the law does not fly; the arguments are those of `law_keeps`.
-
-    Raises:
-        InspectionError: law and guard keep more.
-
-    """
-    kept, asked = law_keeps(scenario, target, error_bound), scenario.inspect.stand_off
+    radius, margin, asked = scenario.chaser.radius, scenario.safety.margin, scenario.inspect.stand_off
+    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
+    kept = error_bound + radius + margin + room_for_guard(Surroundings(scenario, target)).get("nominal_offset", own)
     if asked < kept:
-        radius, margin = scenario.chaser.radius, scenario.safety.margin
         raise InspectionError(
             f"inspect.stand_off: {asked:g} m, and law and guard keep {kept:.3f} m (chaser.radius {radius:g}, "
             f"safety.margin {margin:g}, the field's error {error_bound:.3f}, room to steer "
             f"{kept - radius - margin - error_bound:.3f}); it must be at least that"
         )
+    return kept
 
 
 def require_light(scenario: Scenario, light: Light, patches: Patches) -> None:
@@ -189,7 +176,7 @@ def require_light(scenario: Scenario, light: Light, patches: Patches) -> None:
     )
 
 
-def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Bool[np.ndarray, " units"]) -> None:
+def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Marks) -> None:
     """Refuse a target of which nothing can be seen, or nothing of that is ever lit.
 
     Args:
@@ -401,6 +388,11 @@ class Problem:
         return cls(scenario, target, patches, rules, sight, room, judged, Light(scenario))
 
     @functools.cached_property
+    def camera(self) -> Camera:
+        """What sees the patches, frame by frame."""
+        return Camera(self.sight, self.rules, self.light)
+
+    @functools.cached_property
     def ways(self) -> Ways:
         """Ways that keep the stand-off, inside `box`."""
         return Ways.build(self.target.distance, self.scenario.inspect.stand_off, *self.box)
@@ -414,7 +406,7 @@ class Problem:
             return self.ways
         return Ways.build(self.target.distance, stand_off, lower, upper, most_nodes=int(min(nodes, _FINE_NODES)))
 
-    def ways_from(self, position: Float[np.ndarray, "3"]) -> Ways:
+    def ways_from(self, position: Point) -> Ways:
         """Give the ways, or such as reach farther where the chaser is outside their box."""
         lower, upper = self.box
         if ((position >= lower) & (position <= upper)).all():
@@ -445,7 +437,7 @@ class Wanted:
     """
 
     patches: Patches
-    possible: Bool[np.ndarray, " units"]
+    possible: Marks
     share: float
 
     def __post_init__(self) -> None:
@@ -453,7 +445,7 @@ class Wanted:
         self.failures = np.zeros(self.patches.units, np.int64)
 
     @property
-    def left(self) -> Bool[np.ndarray, " units"]:
+    def left(self) -> Marks:
         """The units still wanted and not given up."""
         return self.possible & ~self.taken & (self.failures < _ATTEMPTS)
 
@@ -470,14 +462,10 @@ class Wanted:
         return self.reached >= self.share - _ROUNDING
 
     @property
-    def all_taken(self) -> bool:
-        """Whether nothing of the possible area is left, given up or not."""
-        return not bool((self.possible & ~self.taken).any())
-
-    @property
     def ending(self) -> tuple[str, str]:
         """Say how an inspection ends by which the share wanted was taken, and why."""
-        outcome = "all seen" if self.all_taken else f"{100.0 * self.share:g} % asked, seen"
+        left = bool((self.possible & ~self.taken).any())
+        outcome = f"{100.0 * self.share:g} % asked, seen" if left else "all seen"
         return outcome, f"{self.reached:.2%} of what is not proved hidden was taken, {self.share:.2%} were asked for"
 
     @property
@@ -488,13 +476,13 @@ class Wanted:
         missing = (self.share - self.reached) * whole
         return float(np.clip(missing / left, 0.0, 1.0)) if left > 0.0 else 1.0
 
-    def take(self, units: Int[np.ndarray, " k"]) -> int:
+    def take(self, units: Units) -> int:
         """Note what a frame showed; give how many units of it were wanted and new."""
         fresh = int((self.possible[units] & ~self.taken[units]).sum())
         self.taken[units] = True
         return fresh
 
-    def failed(self, promised: Int[np.ndarray, " k"]) -> None:
+    def failed(self, promised: Units) -> None:
         """Note that a tour promised units; those not taken are tried so many times at most."""
         missing = promised[~self.taken[promised]]
         self.failures[missing] += 1

@@ -2,15 +2,14 @@
 
 A leg takes as long as its way takes at the speed flown, or as the boresight takes to turn if that is longer; then it
 is flown slower. At a view the velocity changes from that of one leg to that of the next, which costs Δv = |change| and,
-with the acceleration a, half of Δv / a in time. Where the chaser stays, or must wait for light, it stops: the change is
-then to rest and from rest. Light windows are the times within which a view is worth anything.
+with the acceleration a, half of Δv / a in time. Where the chaser stays it stops: from motion to rest, and on from rest.
 
-In a light that does not change the cost of an order is a sum over legs and over places between two legs. So a move is
-judged by the few legs that it changes: a stretch of the order turned round (2-opt), or up to three places moved
-elsewhere (Or-opt), either towards a near neighbour. Where none helps, neighbouring stretches change places (the double
-bridge of Martin, Otto & Felten 1991), and what is no better than before is undone. In these loops orders are arrays
-with the start, place 0, first and `_NONE` at both outer ends: `order[0]` is `_NONE`, `order[1]` is 0. What is paid is a
-tuple: the cost of each leg, its velocity, the cost of a change of velocity, and whether the chaser stops at each place.
+The cost of an order is a sum over legs and over places between two legs. So a move is judged by the few legs that it
+changes: a stretch of the order turned round (2-opt), or up to three places moved elsewhere (Or-opt), either towards a
+near neighbour. Where none helps, neighbouring stretches change places (the double bridge of Martin, Otto & Felten
+1991), and what is no better than before is undone. In these loops orders are arrays with the start, place 0, first and
+`_NONE` at both outer ends: `order[0]` is `_NONE`, `order[1]` is 0. What is paid is a tuple: the cost of each leg, its
+velocity, the cost of a change of velocity, and whether the chaser stops at each place.
 """
 
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.core.cores import kernel
+from keepout.core.geometry.distance import Points
 
 Objective = Literal["time", "delta_v", "both"]
 _SHUT_OFF = 1e7
@@ -49,7 +49,6 @@ class Legs:
         acceleration: m/s².
         dwell: at every view, s.
         begin: time at the start, s.
-        windows: (k+1, w, 2) s, ordered; rows filled up with nan.
 
     """
 
@@ -60,7 +59,6 @@ class Legs:
     acceleration: float
     dwell: float
     begin: float
-    windows: Float[np.ndarray, "n w 2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ class Tour:
 
     Attributes:
         order: (k,) rows of the legs, none of them 0.
-        times: (k,) at which each view is worth something: on arrival, or when the light comes, s; inf if never.
+        times: (k,) at which each view is worth something: on arrival, or when the light comes, s.
         end: time at the end, s.
         delta_v: m/s.
 
@@ -81,19 +79,17 @@ class Tour:
     delta_v: float
 
     def cost(self, objective: Objective, worth: float) -> float:
-        """Give what an objective counts, beside views that come too late; `worth` is of Δv, s per m/s."""
-        time_weight, delta_v_weight = _weights(objective, worth)
+        """Give what an objective counts; `worth` is of Δv, s per m/s."""
+        time_weight, delta_v_weight = weights(objective, worth)
         return time_weight * self.end + delta_v_weight * self.delta_v
 
 
-def _weights(objective: Objective, worth: float) -> tuple[float, float]:
-    """Give what a second counts, and what 1 m/s does."""
-    return {"time": (1.0, 100.0 * _SIDE), "delta_v": (_SIDE, 100.0), "both": (1.0, worth)}[objective]
+def weights(objective: Objective, worth: float, *, side: float = 100.0 * _SIDE) -> tuple[float, float]:
+    """Give what a second counts, and what 1 m/s does: `side` where time is made least; `worth` where both count."""
+    return {"time": (1.0, side), "delta_v": (_SIDE, 100.0), "both": (1.0, worth)}[objective]
 
 
-def turning_time(
-    first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"], rate: float, acceleration: float
-) -> Float[np.ndarray, "n m"]:
+def turning_time(first: Points, second: Points, rate: float, acceleration: float) -> Float[np.ndarray, "n m"]:
     """Give the times (s) from rest to rest between boresights, at bounded rate (rad/s) and acceleration (rad/s²)."""
     angle = np.arccos(np.clip(first @ second.T, -1.0, 1.0))
     short = angle < rate * rate / acceleration
@@ -104,7 +100,7 @@ def flown(legs: Legs, order: Int[np.ndarray, " k"]) -> Tour:
     """Give what an order costs."""
     times = np.empty(len(order))
     numbers = np.array([legs.speed, legs.acceleration, legs.dwell, legs.begin])
-    ways = _finite(legs.lengths), legs.leave, legs.turns, legs.windows
+    ways = _finite(legs.lengths), legs.leave, legs.turns
     end, delta_v = _fly(np.asarray(order, dtype=np.int64), *ways, numbers, times)
     return Tour(np.asarray(order), times, end, delta_v)
 
@@ -133,7 +129,7 @@ def best_tour(
     count = len(order)
     if count < 2:
         return flown(legs, order)
-    time_weight, delta_v_weight = _weights(objective, worth)
+    time_weight, delta_v_weight = weights(objective, worth)
     lengths = _finite(legs.lengths)
     taken = np.maximum(np.maximum(lengths / legs.speed, legs.turns), 1e-9)
     costs, velocities = time_weight * taken, (lengths / taken)[..., None] * legs.leave
@@ -163,7 +159,7 @@ def _finite(lengths: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 
 
 @kernel()
-def _fly(order, lengths, leave, turns, windows, numbers, times):
+def _fly(order, lengths, leave, turns, numbers, times):
     """End and Δv; writes the time of each view."""
     speed, acceleration, dwell, begin = numbers
     now, delta_v = begin, 0.0
@@ -180,17 +176,10 @@ def _fly(order, lengths, leave, turns, windows, numbers, times):
         now += taken + 0.5 * change / acceleration
         # The way back from there leaves against the direction in which this one arrives.
         vx, vy, vz = -pace * leave[to, here, 0], -pace * leave[to, here, 1], -pace * leave[to, here, 2]
-        best, wait = np.inf, 0.0
-        for w in range(windows.shape[1]):
-            # A nan window compares false.
-            if now + dwell <= windows[to, w, 1]:
-                best = max(now, windows[to, w, 0])
-                wait = best - now
-                break
-        times[place] = best
-        if wait + dwell > 0.0:
+        times[place] = now
+        if dwell > 0.0:
             delta_v += pace
-            now += wait + dwell + 0.5 * pace / acceleration
+            now += dwell + 0.5 * pace / acceleration
             vx, vy, vz = 0.0, 0.0, 0.0
         here = to
     # The end is at rest.

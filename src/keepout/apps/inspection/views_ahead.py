@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
-from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.leading import AroundMesh
 from keepout.apps.inspection.light import ever_lit
 from keepout.apps.inspection.passive import Drifting, DriftsFlown
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem, Wanted, boresight_of
+from keepout.apps.inspection.seeing.patches import Point, Units
 from keepout.apps.led.camera import Boresight
-from keepout.apps.led.driver import Ended, Point, given_up_at
+from keepout.apps.led.driver import Ended, given_up_at
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
 from keepout.core.mission.scenario import Scenario
@@ -67,7 +67,7 @@ class Leg:
 
     place: Point
     boresight: Point | None
-    units: Int[np.ndarray, " k"]
+    units: Units
     window: tuple[float, float] = (0.0, float("inf"))
     stay: float = 0.0
     near: float = _NEAR
@@ -94,7 +94,7 @@ class Leg:
         """Whether the chaser stays there, whatever was seen."""
         return self.stay > 0.0
 
-    def left(self, wanted: Wanted) -> Int[np.ndarray, " k"]:
+    def left(self, wanted: Wanted) -> Units:
         """Give the units of the view that are still wanted."""
         return self.units[wanted.left[self.units]]
 
@@ -138,7 +138,6 @@ class ViewsAhead:
         scenario: as flown.
         problem: what is to be seen.
         leading: the law's way to any place.
-        camera: what it sees, and what is lit.
         wanted: what is still to be seen, as it is known on board.
         first: the first plan, already made; else made here.
         progress: told of that.
@@ -156,14 +155,13 @@ class ViewsAhead:
         scenario: Scenario,
         problem: Problem,
         leading: AroundMesh,
-        camera: Camera,
         wanted: Wanted,
         *,
         first: InspectionPlan | None = None,
         progress: Progress = silent,
     ) -> None:
         self.scenario, self.problem, self.leading = scenario, problem, leading
-        self.camera, self.wanted, self.plans = camera, wanted, 1
+        self.wanted, self.plans = wanted, 1
         holds, tolerance = scenario.inspect.hold_points, scenario.goal.tolerance
         if first is None:
             begin = np.asarray(holds[-1].position if holds else scenario.start.position, dtype=float)
@@ -245,11 +243,10 @@ class ViewsAhead:
         areas = self.problem.patches.unit_areas()
         return float(areas[self._lost & self.wanted.left].sum()) >= _LOST * float(areas[self.wanted.possible].sum())
 
-    def _lit(self, now: float, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        sun = self.camera.light.sun(now)
-        if sun is None:
-            return np.full(len(units), not self.camera.light.matters)
-        return self.camera.lit(sun, units)
+    def _lit(self, now: float, units: Units) -> Bool[np.ndarray, " k"]:
+        light = self.problem.light
+        sun = light.sun(now)
+        return np.full(len(units), not light.matters) if sun is None else self.problem.camera.lit(sun, units)
 
     def _law_to(self, leg: Leg, now: float, estimate: Point, boresight: Boresight) -> Law | None:
         """Give the law that leads to a view; None where there is none, and then what it promised is noted as failed."""
@@ -295,7 +292,7 @@ class ViewsAhead:
         self.legs = deque(leg for leg in Leg.views(again, self.scenario.inspect.dwell) if len(leg.left(self.wanted)))
         if not self.legs and self._in_sun:
             end = self.scenario.duration
-            if ever_lit(self.camera, self.wanted.left, end, begin=now).any():
+            if ever_lit(self.problem.camera, self.wanted.left, end, begin=now).any():
                 self.legs.append(Leg.waiting(estimate, max(_WAITED * (end - now), self.scenario.camera.period)))
         return None if self.legs else self._nothing_more()
 

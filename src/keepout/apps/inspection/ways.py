@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import shortest_path
 
+from keepout.apps.inspection.seeing.patches import Point
 from keepout.core.control.barrier_grid import travel_time
 from keepout.core.cores import available_cores
-from keepout.core.geometry.distance import Distance
+from keepout.core.geometry.distance import Distance, Points
 
 MOST_NODES = 400_000
 """A grid takes the spacing, not below `_FINEST`, at which it has about so many nodes."""
@@ -33,7 +34,6 @@ _NEIGHBOURS = 20
 
 
 Node = tuple[int, ...]
-Point = Float[np.ndarray, "3"]
 Corner = Int[np.ndarray, "3"]
 Joined = tuple[Int[np.ndarray, "_ 3"], Float[np.ndarray, " _"]]
 """Nodes joined to a place, and their distances from it, m."""
@@ -98,7 +98,7 @@ class Ways:
             wall[tuple(doubtful.T)] = ~ways.clear(begin, begin + spacing * np.eye(3)[axis])
         return ways
 
-    def clear(self, begins: Float[np.ndarray, "m 3"], ends: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, " m"]:
+    def clear(self, begins: Points, ends: Points) -> Bool[np.ndarray, " m"]:
         """Whether straight pieces are proved to keep the stand-off."""
         result = np.ones(len(begins), dtype=bool)
         middle, half = 0.5 * (begins + ends), 0.5 * np.linalg.norm(ends - begins, axis=1)
@@ -117,7 +117,7 @@ class Ways:
         return result
 
     def lengths(
-        self, places: Float[np.ndarray, "k 3"], known: Pairs | None = None
+        self, places: Points, known: Pairs | None = None
     ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k 3"]]:
         """Give the lengths (m) of the ways between all places, infinite where none leads, and how they set out.
 
@@ -166,7 +166,7 @@ class Ways:
 
     def _join(
         self,
-        places: Float[np.ndarray, "k 3"],
+        places: Points,
         joined: list[Joined],
         fresh: Bool[np.ndarray, "k k"],
         direct: Float[np.ndarray, "k k"],
@@ -199,7 +199,7 @@ class Ways:
             list(pool.map(march_from, np.flatnonzero(crooked.any(axis=0)).tolist()))
         np.minimum(direct, direct.T, out=direct)
 
-    def reached(self, begin: Point, places: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
+    def reached(self, begin: Point, places: Points) -> Bool[np.ndarray, " k"]:
         """Say to which places a way leads from one, by the grid or straight."""
         times = self._march(self._joined(begin))
         joined = [self._joined(place)[0] for place in places]
@@ -208,7 +208,7 @@ class Ways:
         found[alone] = self.clear(np.tile(begin, (len(alone), 1)), places[alone])
         return found
 
-    def nearly(self, place: Point, places: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+    def nearly(self, place: Point, places: Points) -> Float[np.ndarray, " k"]:
         """Give the lengths (m) of ways from one place to many, to within about a cell; infinite where none leads."""
         times = self._march(self._joined(place))
         at = (places - self.origin) / self.spacing
@@ -220,7 +220,7 @@ class Ways:
             found = np.minimum(found, through)
         return np.maximum(found, np.where(np.isfinite(found), np.linalg.norm(places - place, axis=1), 0.0))
 
-    def path(self, begin: Point, end: Point) -> Float[np.ndarray, "m 3"] | None:
+    def path(self, begin: Point, end: Point) -> Points | None:
         """Give the corners of a way, every piece of it clear; None where none leads.
 
         From a place nearer than the stand-off, the first piece leads straight to a node of the grid and is not clear.
@@ -254,7 +254,7 @@ class Ways:
     def _place(self, node: Node, low: Corner) -> Point:
         return self.origin + self.spacing * (low + np.asarray(node))
 
-    def _box(self, places: Float[np.ndarray, "k 3"], around: float) -> tuple[Corner, Corner]:
+    def _box(self, places: Points, around: float) -> tuple[Corner, Corner]:
         """Give the first nodes of a box that holds places and all within `around` (m) and their nodes; and the ends."""
         room = around + (_NEAR + 2.0) * self.spacing + self.stand_off
         low = np.floor((places.min(axis=0) - room - self.origin) / self.spacing).astype(int)
@@ -296,7 +296,7 @@ class Ways:
         keep = self.clear(np.tile(place, (len(nodes), 1)), self.origin + self.spacing * nodes)
         return nodes[keep], away[keep]
 
-    def _pulled(self, corners: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n 3"]:
+    def _pulled(self, corners: Points) -> Points:
         """Leave corners out, and pull the rest towards the line between their neighbours, while all stays clear."""
         kept, here = [corners[0]], 0
         while here < len(corners) - 1:
@@ -335,6 +335,6 @@ def _downhill(times: Float[np.ndarray, "nx ny nz"], walls: Bool[np.ndarray, "3 n
     return best
 
 
-def way_length(corners: Float[np.ndarray, "m 3"]) -> float:
+def way_length(corners: Points) -> float:
     """Give the length of a way by its corners, m."""
     return float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())

@@ -481,8 +481,7 @@ class InspectEntry(Entry):
         patch_size: Edge of the patches, seen wholly or not at all, m; unset: 0.25; 1.0 of a target beyond 80 m; a tenth
             of one below 2.5 m.
         coverage: Share of the area that can be seen and lit in time, at which the flight ends.
-        tour: plan: the views that cover most, in the best order; nearest: the next with something new;
-            circumnavigation: natural motion.
+        tour: plan: the views that cover most, in the best order; circumnavigation: natural motion.
         objective: What the views' order makes least: time, delta_v, or both, time + delta_v_worth × Δv.
         delta_v_worth: Price of Δv in both, s per m/s.
         candidates: Most places considered for views.
@@ -501,7 +500,7 @@ class InspectEntry(Entry):
     stand_off: Positive = 1.5
     patch_size: Positive | None = None
     coverage: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
-    tour: Literal["plan", "nearest", "circumnavigation"] = "plan"
+    tour: Literal["plan", "circumnavigation"] = "plan"
     objective: Literal["time", "delta_v", "both"] = "time"
     delta_v_worth: Positive = 1000.0
     candidates: Annotated[int, Field(ge=1, le=1_000_000)] = 4000

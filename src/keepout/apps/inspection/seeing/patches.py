@@ -16,9 +16,18 @@ from jaxtyping import Bool, Float, Int
 
 from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
+from keepout.core.geometry.distance import Points
 from keepout.core.geometry.target import Target, weld, zero_area
 from keepout.core.progress import Progress, silent
 
+Point = Float[np.ndarray, "3"]
+"""A place, m, or a direction; body frame."""
+Units = Int[np.ndarray, " _"]
+"""Some units by their numbers."""
+Marks = Bool[np.ndarray, " units"]
+"""What is said of every unit: yes or no."""
+Areas = Float[np.ndarray, " units"]
+"""Of every unit, m²."""
 FLAT = 2e-5
 """How far from the region's plane a corner of its faces may lie, m; well below the lift of sight lines."""
 _ALIKE = 0.999
@@ -70,7 +79,7 @@ class Patches:
     areas: Float[np.ndarray, " n"]
     centres: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, " n"]
-    counted: Bool[np.ndarray, " units"]
+    counted: Marks
     size: float
 
     @functools.cached_property
@@ -88,16 +97,16 @@ class Patches:
         """Give the unit vectors out of each unit's side."""
         return np.stack([self.normals, -self.normals], axis=1).reshape(-1, 3)
 
-    def unit_areas(self) -> Float[np.ndarray, " units"]:
+    def unit_areas(self) -> Areas:
         """Area of each unit, m²; 0 for those that are not counted."""
         return np.repeat(self.areas, 2) * self.counted
 
-    def corners_of(self, units: Int[np.ndarray, " k"]) -> Float[np.ndarray, "corners 3"]:
+    def corners_of(self, units: Units) -> Float[np.ndarray, "corners 3"]:
         """Give all corners of some units' patches, m."""
         corners = self.corners[units // 2]
         return corners[np.arange(corners.shape[1]) < self.counts[units // 2][:, None]]
 
-    def coverage(self, seen: Bool[np.ndarray, " units"]) -> float:
+    def coverage(self, seen: Marks) -> float:
         """Give the share, 0 to 1, that the units seen have of the area counted."""
         areas = self.unit_areas()
         return float(areas[seen].sum() / areas.sum())
@@ -124,7 +133,7 @@ def neighbours(welded: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
 
 
 def closed_parts(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+    vertices: Points, faces: Int[np.ndarray, "f 3"]
 ) -> tuple[Bool[np.ndarray, " f"], Bool[np.ndarray, " f"]]:
     """Say of each face whether it belongs to a closed part, and whether its normal then points into that part.
 
@@ -177,7 +186,7 @@ class Regions(NamedTuple):
     extent: Float[np.ndarray, "regions 2"]
 
 
-def regions(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Regions:
+def regions(vertices: Points, faces: Int[np.ndarray, "f 3"]) -> Regions:
     """Grow regions from the largest face on; a region's plane is that of the face that it began with."""
     triangles = vertices[faces]
     a, b, c = np.moveaxis(triangles, 1, 0)
@@ -490,19 +499,16 @@ def _simplified(polygon, count):
 
 @kernel()
 def _measure(polygon, count):
-    area, around = 0.0, 0.0
+    around = 0.0
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
-        area += (polygon[i, 0] - polygon[0, 0]) * (polygon[j, 1] - polygon[0, 1])
-        area -= (polygon[i, 1] - polygon[0, 1]) * (polygon[j, 0] - polygon[0, 0])
         around += np.hypot(polygon[j, 0] - polygon[i, 0], polygon[j, 1] - polygon[i, 1])
-    return 0.5 * area, around
+    return 0.5 * _double_area(polygon, count), around
 
 
 @kernel()
-def _outline(points, count, work):
-    """Write the convex hull of points without straight corners; their number, its area and its circumference."""
-    order, chain, out = work
+def sort_points(points, count, order):
+    """Write the order of points by x, then y."""
     order[0] = 0
     for i in range(1, count):
         k, j = i, i
@@ -513,6 +519,13 @@ def _outline(points, count, work):
             order[j] = order[j - 1]
             j -= 1
         order[j] = k
+
+
+@kernel()
+def _outline(points, count, work):
+    """Write the convex hull of points without straight corners; their number, its area and its circumference."""
+    order, chain, out = work
+    sort_points(points, count, order)
     size = hull_of(points, order, count, chain)
     for i in range(size):
         out[i, 0], out[i, 1] = points[chain[i], 0], points[chain[i], 1]

@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from keepout.apps.inspection.seeing import sightlines
-from keepout.apps.inspection.seeing.patches import Patches, hull_of
+from keepout.apps.inspection.seeing.patches import Marks, Patches, Units, hull_of, sort_points
 from keepout.apps.inspection.seeing.room import Limits, Room, beam_workspace, first_place, least_height, place_of
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.led.camera import axes_across
 from keepout.apps.led.first_hit import DEEPEST, RayTree
 from keepout.core.cores import kernel
+from keepout.core.geometry.distance import Points
 from keepout.core.progress import Progress, silent
 
 SQUARES = 4_000_000
@@ -87,7 +88,7 @@ class Seeable:
     by_clock: bool = False
 
     @property
-    def possible(self) -> Bool[np.ndarray, " units"]:
+    def possible(self) -> Marks:
         """Say which counted units are not proved hidden: an inspection wants to see them."""
         return self.patches.counted & (self.verdict != Verdict.HIDDEN)
 
@@ -166,7 +167,7 @@ def seeable(
 
 
 def witnessed(
-    sight: Sightlines, rules: SeeingRules, room: Room, places: Float[np.ndarray, "m 3"], units: Int[np.ndarray, " m"]
+    sight: Sightlines, rules: SeeingRules, room: Room, places: Points, units: Units
 ) -> Bool[np.ndarray, " m"]:
     """Say of pairs of a place and a unit whether the place is in the room and sees all of the unit by the rules."""
     patches, patch = sight.patches, units >> 1
@@ -181,7 +182,7 @@ def witnessed(
     return kept
 
 
-def _enclosed(tree: RayTree, patches: Patches, units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+def _enclosed(tree: RayTree, patches: Patches, units: Units) -> Bool[np.ndarray, " m"]:
     """Say from the middle of which units every one of many rays meets the mesh: a measurement, no proof."""
     turn = np.arange(_RAYS) * math.pi * (3.0 - math.sqrt(5.0))
     steep = 1.0 - np.arange(_RAYS) / _RAYS
@@ -190,16 +191,14 @@ def _enclosed(tree: RayTree, patches: Patches, units: Int[np.ndarray, " m"]) -> 
     return _all_blocked(tree, _frames(patches, units), rays)
 
 
-def _frames(patches: Patches, units: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 4 3"]:
+def _frames(patches: Patches, units: Units) -> Float[np.ndarray, "m 4 3"]:
     """Give the middle of each unit, two axes in its plane, and its normal."""
     normals = patches.unit_normals()[units]
     frames = np.stack([patches.centres[units >> 1], *axes_across(normals), normals], axis=1)
     return np.ascontiguousarray(frames)
 
 
-def _searched(
-    tree: RayTree, limits: Limits, patches: Patches, units: Int[np.ndarray, " m"], squares: int
-) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"], int]:
+def _searched(tree: RayTree, limits: Limits, patches: Patches, units: Units, squares: int) -> tuple[Units, Points, int]:
     """Search for each unit among so many squares of directions; give the ends, the places, and the squares in all."""
     patch = units >> 1
     frames, centres = _frames(patches, units), patches.centres[patch]
@@ -379,20 +378,14 @@ def _all_blocked(tree, frames, rays):
 
 
 @kernel()
-def _sorted_apart(points, count):
-    """Sort points by x, then y, in place, and leave out those that hardly differ from the one before; their number."""
-    for i in range(1, count):
-        x, y, moved = points[i, 0], points[i, 1], points[i, 2]
-        j = i - 1
-        while j >= 0 and (points[j, 0] > x or (points[j, 0] == x and points[j, 1] > y)):
-            points[j + 1, 0], points[j + 1, 1], points[j + 1, 2] = points[j, 0], points[j, 1], points[j, 2]
-            j -= 1
-        points[j + 1, 0], points[j + 1, 1], points[j + 1, 2] = x, y, moved
+def _apart(points, order, count):
+    """Leave out of an order of points those that hardly differ from the one before; the number of those left."""
     kept = 1
     for i in range(1, count):
-        apart = abs(points[i, 0] - points[kept - 1, 0]) + abs(points[i, 1] - points[kept - 1, 1])
-        if apart > _SAME * (1.0 + abs(points[i, 0]) + abs(points[i, 1])):
-            points[kept, 0], points[kept, 1], points[kept, 2] = points[i, 0], points[i, 1], points[i, 2]
+        here, before = order[i], order[kept - 1]
+        x, y = points[here, 0], points[here, 1]
+        if abs(x - points[before, 0]) + abs(y - points[before, 1]) > _SAME * (1.0 + abs(x) + abs(y)):
+            order[kept] = here
             kept += 1
     return kept
 
@@ -435,7 +428,8 @@ def shadow(triangle, frame, outline, height, reach, largest, shadows, slot):
             points[total, 0], points[total, 1] = x, y
             points[total, 2] = _ROUNDING * (1.0 + abs(x) + abs(y)) * (1.0 + largest * inverse)
             total += 1
-    total = _sorted_apart(points, total)
+    sort_points(points, total, shadows.order)
+    total = _apart(points, shadows.order, total)
     if total < 3:
         return 0
     # A corner that rounding leaves out makes the hull smaller, never larger.

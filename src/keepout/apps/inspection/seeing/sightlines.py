@@ -11,15 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.patches import Patches, Point, Units
 from keepout.apps.led.first_hit import DEEPEST, build_tree
 from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
-from keepout.core.geometry.distance import TriangleSoup
+from keepout.core.geometry.distance import Points, TriangleSoup
 
 FARTHEST = 1e5
 """Places may have coordinates up to this, m: beyond it rounding comes near the margins."""
-Units = Int[np.ndarray, " m"]
 LIFT = 1e-4
 """What lies at most this far above a patch's plane does not block, nor what is as near below the camera's height, m."""
 _MARGIN = 1e-9
@@ -56,7 +55,7 @@ class Sightlines:
 
     """
 
-    def __init__(self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], patches: Patches):
+    def __init__(self, vertices: Points, faces: Int[np.ndarray, "f 3"], patches: Patches):
         soup = TriangleSoup(vertices, faces)
         self.patches = patches
         self.tree = build_tree(soup.vertices[soup.faces])
@@ -82,7 +81,7 @@ class Sightlines:
         largest = max(self._largest, float(np.abs(places).max(initial=0.0)))
         return self._look(places, 1.0, units, largest)
 
-    def lit(self, sun: Float[np.ndarray, "3"], units: Units) -> Bool[np.ndarray, " m"]:
+    def lit(self, sun: Point, units: Units) -> Bool[np.ndarray, " m"]:
         """Say of each unit whether nothing stands between the whole of it and the sun, taken as infinitely far.
 
         Args:

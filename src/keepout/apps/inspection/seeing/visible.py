@@ -4,16 +4,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.patches import Marks, Patches, Point, Units
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
 
 _FINITE = 1e6
 """Metres; farther than any camera of an inspection looks."""
-Point = Float[np.ndarray, "3"]
 _ANGLE_ROUNDING = 1e-9
 """Added to angles, rad: more than rounding takes from them."""
 
@@ -89,7 +88,7 @@ class Visible:
 
     """
 
-    units: Int[np.ndarray, " k"]
+    units: Units
     directions: Float[np.ndarray, "k 3"]
     spread: Float[np.ndarray, " k"]
 
@@ -98,9 +97,7 @@ class Visible:
         return Visible(self.units[which], self.directions[which], self.spread[which])
 
 
-def visible(
-    sight: Sightlines, rules: SeeingRules, place: Point, *, among: Bool[np.ndarray, " units"] | None = None
-) -> Visible:
+def visible(sight: Sightlines, rules: SeeingRules, place: Point, *, among: Marks | None = None) -> Visible:
     """Say which units can be seen from a place.
 
     Over a plane piece range, incidence and ground sample distance are greatest at its farthest point, a corner.
@@ -116,9 +113,7 @@ def visible(
     return found.only(sight.clear(place[None], found.units))
 
 
-def within_rules(
-    patches: Patches, rules: SeeingRules, place: Point, among: Bool[np.ndarray, " units"] | None = None
-) -> Visible:
+def within_rules(patches: Patches, rules: SeeingRules, place: Point, among: Marks | None = None) -> Visible:
     """Say which units keep range, incidence and ground sample distance, whatever stands between; as of `visible`."""
     place, among = np.ascontiguousarray(place, dtype=np.float64), patches.counted if among is None else among
     ranges = rules.least_range, rules.greatest_range
@@ -137,13 +132,8 @@ def in_view(seen: Visible, boresight: Point, half_angle: float) -> Bool[np.ndarr
 
 
 def in_frame(
-    sight: Sightlines,
-    rules: SeeingRules,
-    place: Point,
-    boresight: Point,
-    *,
-    among: Bool[np.ndarray, " units"] | None = None,
-) -> Int[np.ndarray, " k"]:
+    sight: Sightlines, rules: SeeingRules, place: Point, boresight: Point, *, among: Marks | None = None
+) -> Units:
     """Give the units seen from a place in one direction, in any light: those of `visible` that are `in_view`.
 
     What stands between is looked at last, and only for what is in view.
@@ -161,9 +151,7 @@ def in_frame(
     return units[sight.clear(place[None], units)]
 
 
-def lit_units(
-    sight: Sightlines, rules: SeeingRules, sun: Point, *, among: Bool[np.ndarray, " units"] | None = None
-) -> Bool[np.ndarray, " units"]:
+def lit_units(sight: Sightlines, rules: SeeingRules, sun: Point, *, among: Marks | None = None) -> Marks:
     """Say which units are wholly lit, at an incidence that the rules allow.
 
     Args:
