@@ -15,10 +15,17 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     """
     import numba  # whoever only counts cores does not wait for it
+    from numba.core.types import unliteral
 
     def compiled(function: Callable[..., Any]) -> Any:
         # Run-time shape checks, where they are on, wrap the function; Numba takes it bare.
-        return numba.njit(cache=True, nogil=True, **options)(inspect.unwrap(function))
+        made = numba.njit(cache=True, nogil=True, **options)(inspect.unwrap(function))
+        asked = made.get_call_template
+        # A constant that another kernel hands over is a number like others: else it compiles this one once more.
+        made.get_call_template = lambda args, kws: asked(
+            tuple(map(unliteral, args)), {name: unliteral(kind) for name, kind in kws.items()}
+        )
+        return made
 
     return compiled
 

@@ -372,9 +372,11 @@ def _search(order, paid, nearest, draws):
             if p >= 0:
                 waiting[p] = True
         gain += _descend(order, place, waiting, paid, nearest, spare)
-        if gain > 1e-9:
-            kept[:] = order
-        else:
-            order[:] = kept
+        for q in range(order.size):
+            if gain > 1e-9:
+                kept[q] = order[q]
+            else:
+                order[q] = kept[q]
+        if gain <= 1e-9:
             for q in range(1, order.size - 1):
                 place[order[q]] = q

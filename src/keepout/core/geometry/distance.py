@@ -316,22 +316,26 @@ def _split(triangles, centres, order):
         used += 1
         if parent >= 0:
             right[parent] = node
-        lower[node] = np.inf
-        upper[node] = -np.inf
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for i in range(start, end):
-            for axis in range(3):
-                low[axis] = min(low[axis], centres[order[i], axis])
-                high[axis] = max(high[axis], centres[order[i], axis])
+        longest, widest = -1.0, 0
+        for axis in range(3):
+            low, high, least, most = np.inf, -np.inf, np.inf, -np.inf
+            for i in range(start, end):
+                low, high = min(low, centres[order[i], axis]), max(high, centres[order[i], axis])
                 for corner in range(3):
-                    lower[node, axis] = min(lower[node, axis], triangles[order[i], corner, axis])
-                    upper[node, axis] = max(upper[node, axis], triangles[order[i], corner, axis])
+                    least = min(least, triangles[order[i], corner, axis])
+                    most = max(most, triangles[order[i], corner, axis])
+            lower[node, axis], upper[node, axis] = least, most
+            if high - low > longest:
+                longest, widest = high - low, axis
         if end - start <= _LEAF_TRIANGLES:
             first[node], amount[node] = start, end - start
             continue
-        axis = int(np.argmax(high - low))
-        part = order[start:end].copy()
-        order[start:end] = part[np.argsort(centres[part, axis])]
+        along, part = np.empty(end - start), np.empty(end - start, dtype=np.int64)
+        for i in range(start, end):
+            along[i - start], part[i - start] = centres[order[i], widest], order[i]
+        by = np.argsort(along)
+        for i in range(start, end):
+            order[i] = part[by[i - start]]
         middle = (start + end) // 2
         waiting[depth] = (middle, end, node)
         waiting[depth + 1] = (start, middle, -1)
