@@ -19,12 +19,14 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         # Run-time shape checks, where they are on, wrap the function; Numba takes it bare.
-        made = numba.njit(cache=True, nogil=True, **options)(inspect.unwrap(function))
+        made: Any = numba.njit(cache=True, nogil=True, **options)(inspect.unwrap(function))
         asked = made.get_call_template
-        # A constant that another kernel hands over is a number like others: else it compiles this one once more.
-        made.get_call_template = lambda args, kws: asked(
-            tuple(map(unliteral, args)), {name: unliteral(kind) for name, kind in kws.items()}
-        )
+
+        def plain(args: tuple[Any, ...], named: dict[str, Any]) -> Any:
+            # A constant that another kernel hands over is a number like others: else it compiles this one once more.
+            return asked(tuple(map(unliteral, args)), {name: unliteral(kind) for name, kind in named.items()})
+
+        made.get_call_template = plain
         return made
 
     return compiled
