@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from keepout.apps.reproduction import case3
+from keepout.apps.reproduction.in_memory import SERIES, CampaignPlan, FlightSeries
 from keepout.apps.reproduction.work import Work
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import silent
-from keepout.flights.campaign.campaign import SERIES, CampaignPlan, FlightSeries
 
 RUNS = 7
 SAMPLES = 5
