@@ -39,7 +39,7 @@ def main():
     parser.add_argument("--equipped", action="store_true", help="flights on sensors and thrusters, and nothing else")
     parser.add_argument("--json", metavar="OUT", help="write all figures here too")
     arguments = parser.parse_args()
-    from keepout.flights.pages.head_and_foot import machine
+    from keepout.flights.pages.page import machine
 
     found = {"machine": machine(), "date": datetime.date.today().isoformat(), "steps": arguments.steps}
     found["scaling_steps"] = arguments.scaling_steps

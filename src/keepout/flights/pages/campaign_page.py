@@ -36,8 +36,18 @@ from keepout.flights.campaign.statistics import GROUPS, none_seen_bound
 from keepout.flights.pages import campaign_figures
 from keepout.flights.pages.figures import COLOURS, column, looks
 from keepout.flights.pages.folder import results_in
-from keepout.flights.pages.head_and_foot import Headline, Provenance
-from keepout.flights.pages.page import Markup, Page, Table, bad, finite, rows_of, tell_requirements, text
+from keepout.flights.pages.page import (
+    Headline,
+    Markup,
+    Page,
+    Provenance,
+    Table,
+    bad,
+    finite,
+    rows_of,
+    tell_requirements,
+    text,
+)
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed, of_record
 from keepout.flights.requirements import judged_campaign

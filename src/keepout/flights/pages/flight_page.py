@@ -16,9 +16,8 @@ from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages.approach_drawn import STILL, distance_left, paint_legs, paint_rules, places
 from keepout.flights.pages.figures import COLOURS, draw_signal, figure, logarithmic
-from keepout.flights.pages.head_and_foot import Headline, Provenance, verdict_of
 from keepout.flights.pages.mesh_pictures import draw_paths
-from keepout.flights.pages.page import Page, bad, tell_requirements
+from keepout.flights.pages.page import Headline, Page, Provenance, bad, tell_requirements, verdict_of
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Layer, Replayed, of_flights
 from keepout.flights.pages.terminal import FLIGHT_COLUMNS

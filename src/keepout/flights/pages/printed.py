@@ -30,11 +30,10 @@ from keepout.flights.pages import campaign_page
 from keepout.flights.pages.approach_drawn import STILL, paint_bodies
 from keepout.flights.pages.figures import drawn
 from keepout.flights.pages.flight_page import paint_motion
-from keepout.flights.pages.head_and_foot import Headline, Provenance, as_toml, verdict_of
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
+from keepout.flights.pages.page import Headline, Provenance, as_toml, shown, verdict_of
 from keepout.flights.pages.replay_page import paint_clearance
 from keepout.flights.pages.replayed import Replayed, of_files
-from keepout.flights.pages.terminal import shown
 
 _WIDTH, _HEIGHT, _MARGIN, _FOOT = 8.27, 11.69, 0.8, 0.7
 """Of a sheet, inches."""

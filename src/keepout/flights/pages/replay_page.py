@@ -15,9 +15,8 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.approach_drawn import paint_bodies, paint_legs, paint_rules
 from keepout.flights.pages.figures import draw_signal, drawn, logarithmic, looks
-from keepout.flights.pages.head_and_foot import Provenance, at_least
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
-from keepout.flights.pages.page import Markup, embedded, foot
+from keepout.flights.pages.page import Markup, Provenance, at_least, embedded, foot
 from keepout.flights.pages.replayed import Replayed
 from keepout.flights.pages.scene import Scene, rows_shown, scene
 

@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from keepout.core import progress as keepout_progress
-from keepout.flights.pages.head_and_foot import verdict_of
+from keepout.flights.pages.page import shown, verdict_of
 
 if TYPE_CHECKING:  # which compiles, and a terminal must be there at once
     from keepout.flights.campaign.run import Standing
@@ -461,17 +461,3 @@ _TARGETS: Mapping[str, Column] = {
 def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """One row a built-in target."""
     return _table("Built-in targets", _TARGETS, rows, named=True)
-
-
-def shown(value: Any) -> str:
-    """Format a value for a person: four digits, yes or no, counts by name."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {shown(entry)}" for key, entry in value.items()) or "none"
-    if isinstance(value, list | tuple):
-        numbers = all(isinstance(entry, int | float) for entry in value)
-        return (", " if numbers else "\n").join(shown(entry) for entry in value) or "none"
-    return str(value)
