@@ -139,7 +139,7 @@ class Campaign:
         return Plan.of(self.scenario, batch=self.dataset.identity["batch"])
 
     def _repr_html_(self) -> str:
-        from keepout.flights.pages.shown import watched_html
+        from keepout.flights.pages.flight_page import watched_html
 
         rates = self.figures["rates"]
         cells = (

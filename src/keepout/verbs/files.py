@@ -19,10 +19,10 @@ from keepout.core.whole_file import require_place
 from keepout.flights.exchange.audited import Given, audit_files
 from keepout.flights.exchange.export import Export, export_field, export_flight, export_to
 from keepout.flights.pages.filmed import film, require_film
+from keepout.flights.pages.flight_page import require_page
 from keepout.flights.pages.printed import print_report
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_files, of_flights, of_records
-from keepout.flights.pages.shown import require_page
 from keepout.verbs.meshes import MeshLike, mesh_entry, mesh_of, recorded_target
 
 FlightLike = Flight | FlightRecord | str | Path

@@ -2,7 +2,7 @@
 
 import io
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from keepout.core.whole_file import write_whole
+from keepout.flights.pages.page import Markup, embedded
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, distinguishable by colour-blind readers."""
@@ -84,9 +85,22 @@ def figure(
             engine.execute(drawing)
             drawing.set_layout_engine(None)
         for form in ("png", "svg") if vector else ("png",):
-            image = io.BytesIO()
-            drawing.savefig(image, format=form, metadata={"Date": None} if form == "svg" else None)
-            write_whole(path.with_suffix(f".{form}"), image.getvalue())
+            content = image(drawing, form, metadata={"Date": None} if form == "svg" else None)
+            write_whole(path.with_suffix(f".{form}"), content)
+
+
+def image(drawing: Figure, form: str = "png", **how: Any) -> bytes:
+    """Give the content of a file of a figure, "png", "svg" or "pdf"."""
+    stream = io.BytesIO()
+    drawing.savefig(stream, format=form, **how)
+    return stream.getvalue()
+
+
+def picture(paint: Callable[[Figure], Any], words: str, *, height: float = 5.0) -> Markup:
+    """Give what `paint` draws (height in inches) as an element that holds it, with words for who cannot see it."""
+    with drawn(width=8.0, height=height) as drawing:
+        paint(drawing)
+        return embedded(image(drawing, dpi=100), words)
 
 
 def column(path: Path, height: float, *, width: float = COLUMN) -> AbstractContextManager[Figure]:

@@ -1,7 +1,6 @@
 """The replay of flights as a page: the scene, the viewer that comes with the package, and figures for print."""
 
 import html
-import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
@@ -10,13 +9,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.approach_drawn import paint_bodies, paint_legs, paint_rules
-from keepout.flights.pages.figures import draw_signal, drawn, logarithmic, looks
-from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
-from keepout.flights.pages.page import Markup, Provenance, at_least, embedded, foot
+from keepout.flights.pages.approach_drawn import paint_legs, paint_rules
+from keepout.flights.pages.figures import draw_signal, logarithmic, looks, picture
+from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_mission
+from keepout.flights.pages.page import Markup, Provenance, at_least, foot
 from keepout.flights.pages.replayed import Replayed
 from keepout.flights.pages.scene import Scene, rows_shown, scene
 
@@ -78,8 +78,7 @@ def _picture(panel: Axes, flights: Sequence[Replayed]) -> None:
     upright = np.diag([1.0, -1.0, -1.0]) if flights[0].scenario.attitude.kind == "vvlh" else np.eye(3)
     paths = {flight.name: flight.shown.position[rows_shown(len(flight.shown.time))] for flight in flights}
     goals = {flight.scenario.goal.position for flight in flights if flight.share is None}
-    paint_paths(panel, flights[0].target, paths, goals, eye_axes(*PATHS_FROM[0]) @ upright)
-    paint_bodies(panel, flights[0].scenario, eye_axes(*PATHS_FROM[0]) @ upright)
+    paint_mission(panel, flights[0].scenario, flights[0].target, paths, eye_axes(*PATHS_FROM[0]) @ upright, goals)
 
 
 def paint_clearance(panel: Axes, flights: Sequence[Replayed]) -> None:
@@ -128,13 +127,13 @@ def _have_goals(flights: Sequence[Replayed]) -> bool:
 
 def _shown(words: str, flights: Sequence[Replayed], draw: Callable[..., None], height: float, rows: int = 1) -> Markup:
     """Draw flights into panels below each other, with their names, and give the picture as an element."""
-    with drawn(width=8.0, height=height) as drawing:
+
+    def paint(drawing: Figure) -> None:
         panels = drawing.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         draw(panels if rows > 1 else panels[0], flights)
         drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=8)
-        image = io.BytesIO()
-        drawing.savefig(image, format="png", dpi=100)
-    return embedded(image.getvalue(), words)
+
+    return picture(paint, words, height=height)
 
 
 def viewer(name: str) -> str:
