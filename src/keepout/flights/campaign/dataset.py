@@ -59,13 +59,9 @@ class Dataset:
         """Open the folder of a plan, made where it is not there.
 
         Raises:
-            ScenarioError: it holds another campaign, or cannot be made a folder.
+            ScenarioError: it holds another campaign, or cannot be written to.
 
         """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ScenarioError(f"{folder}: cannot be made a folder ({error.strerror}); give another folder") from None
         identity = plan.identity()
         if not (folder / "campaign.json").exists():
             write_whole(folder / "campaign.json", json.dumps(identity, indent=1) + "\n", refusal=ScenarioError)

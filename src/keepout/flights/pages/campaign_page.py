@@ -414,11 +414,6 @@ _RATES_OF_TWO = {
     **{"B": "second.rate", "B low": "second.low", "B high": "second.high"},
     **{"A - B": "difference", "low": "low", "high": "high", "p": "p_value"},
 }
-_BY_RUN = {
-    **{"figure": "figure.label", "pairs": "pairs", "mean A - B": "mean", "mean low": "mean_low"},
-    **{"mean high": "mean_high", "median A - B": "median", "median low": "median_low"},
-    **{"median high": "median_high", "A lower": "lower", "A higher": "higher", "p of sign": "p_value"},
-}
 _CAPTIONS = {
     "rates": "Rate of A less that of B, with its 95 % interval: where that holds zero, the two may be equal.",
     "by_run": "Share of the pairs of runs whose difference A − B is at or below each value.",
@@ -473,13 +468,16 @@ def comparison_tables(found: Comparison) -> list[Table]:
         row | dict(zip(("both", "A only", "B only", "neither"), one.pairs or ()))
         for row, one in zip(rows_of(found.rates, _RATES_OF_TWO), found.rates)
     ]
-    quantiles = [{key: finite(value) for key, value in row.items()} for row in found.quantiles]
+    quantiles, by_run = (
+        [{key: finite(value) for key, value in row.items()} for row in rows]
+        for rows in (found.quantiles, [one.row for one in found.differences])
+    )
     differing = [{"entry": name, "A": json.dumps(a), "B": json.dumps(b)} for name, a, b in found.differing]
     return [
         Table("differing", "What differs between the two.", differing),
         Table("rates", "How often, with 95 % intervals.", rates),
         Table("quantiles", "Quantiles of the flights of each; the difference with an interval, about 95 %.", quantiles),
-        Table("by_run", "A less B, run by run.", rows_of(found.differences, _BY_RUN)),
+        Table("by_run", "A less B, run by run.", by_run),
     ]
 
 
