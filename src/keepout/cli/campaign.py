@@ -1,7 +1,6 @@
 """Commands on many flights: campaign fly, report, compare, replay."""
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,14 +28,12 @@ from keepout.cli.options import (
     usage,
 )
 from keepout.core.errors import ScenarioError
-from keepout.core.progress import Progress, silent
+from keepout.core.progress import silent
 from keepout.flights.pages import terminal
 
 if TYPE_CHECKING:
-    from keepout.core.mission.scenario import Scenario
     from keepout.flights.campaign.dataset import Dataset
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import Standing
 
 
 class _FlyUnlessNamed(TyperGroup):
@@ -111,38 +108,23 @@ def campaign(
     told = terminal.standing_lines() if as_json else (lambda standing: None)
     shown = contextlib.nullcontext(silent) if as_json else terminal.progress(f"campaign {mission.name}")
     with shown as progress, own:
-        summary = _flown(mission, folder, how, force=force, told=told, progress=progress)
+        from keepout.flights.campaign.plan import Plan
+        from keepout.flights.campaign.run import flyer_on, keep_of, scheduler_of
+        from keepout.verbs.campaigns import complete
+
+        with usage():
+            keep = keep_of(how.keep)
+            if how.scheduler is not None:
+                scheduler_of(how.scheduler)
+        flyer = flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
+        progress(0.0, "preparing")
+        plan = Plan.of(mission, batch=how.batch)
+        dataset = _begun(folder, plan, force=force)
+        summary = complete(plan, dataset, keep=keep, flyer=flyer, told=told, progress=progress)
     # What the guard assumes is for the file: two dozen numbers.
     left_out = ("guard", "kept", "refusals", "rates", "page", "require", "requirements")
     facts = terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k not in left_out})
     conclude(summary, as_json, facts, terminal.rates_table(summary["rates"]), out=folder)
-
-
-def _flown(
-    scenario: "Scenario",
-    out: Path,
-    how: _Flying,
-    *,
-    force: bool,
-    told: "Callable[[Standing], None]",
-    progress: Progress,
-) -> dict[str, Any]:
-    """Fly a campaign into `out`, or what is missing of it there; then its bands, page and `summary.json`.
-
-    `told` hears how far it is as flights land; `progress` too, in words. `force` replaces another campaign.
-    """
-    from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import flyer_on, keep_of, scheduler_of
-    from keepout.verbs.campaigns import complete
-
-    with usage():
-        keep = keep_of(how.keep)
-        if how.scheduler is not None:
-            scheduler_of(how.scheduler)
-    flyer = flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
-    progress(0.0, "preparing")
-    plan = Plan.of(scenario, batch=how.batch)
-    return complete(plan, _begun(out, plan, force=force), keep=keep, flyer=flyer, told=told, progress=progress)
 
 
 def _begun(out: Path, plan: "Plan", *, force: bool) -> "Dataset":

@@ -64,11 +64,9 @@ def replay(
     if len(paths) == len(given):
         gathered = of_files(paths, progress=part)
     else:
-        named = {
-            str(one) if isinstance(one, str | Path) else f"flight {place}": one for place, one in enumerate(given, 1)
-        }
         gathered = []
-        for name, one in named.items():
+        for place, one in enumerate(given, 1):
+            name = str(one) if isinstance(one, str | Path) else f"flight {place}"
             if isinstance(one, Flight):
                 gathered += of_flights({name if len(given) > 1 else one.scenario.name: one})
             else:

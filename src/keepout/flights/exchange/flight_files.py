@@ -37,9 +37,9 @@ from keepout.core.mission.bounds import orbit_of
 from keepout.core.mission.entries import TargetEntry
 from keepout.core.mission.epoch import format_instant, leap_second_between, parse_instant
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.rotation import matrix, vvlh_axes
+from keepout.core.motion.rotation import matrix, vvlh_axes, without_jumps
 from keepout.core.whole_file import write_whole
-from keepout.flights.exchange.ephemeris import Attitude, Orbit, without_jumps, write_aem, write_oem
+from keepout.flights.exchange.ephemeris import Attitude, Orbit, write_aem, write_oem
 
 FRAME = "EME2000"
 CENTRE = "EARTH"

@@ -75,6 +75,11 @@ def shown(value: Any) -> str:
     return str(value)
 
 
+def bracketed(place: Iterable[float]) -> str:
+    """Format a place, or another vector, for a person."""
+    return f"[{', '.join(f'{x:g}' for x in place)}]"
+
+
 @dataclass(frozen=True)
 class Headline:
     """What a page says first.

@@ -31,7 +31,7 @@ from keepout.flights.pages.approach_drawn import STILL
 from keepout.flights.pages.figures import drawn
 from keepout.flights.pages.flight_page import paint_motion
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_mission
-from keepout.flights.pages.page import Headline, Provenance, as_toml, shown, verdict_of
+from keepout.flights.pages.page import Headline, Provenance, as_toml, bracketed, shown, verdict_of
 from keepout.flights.pages.replay_page import paint_clearance
 from keepout.flights.pages.replayed import Replayed, of_files
 
@@ -262,15 +262,13 @@ def _numbers(entries: Mapping[str, Any]) -> dict[str, Any]:
 def _mission(sheet: _Sheet, scenario: Scenario) -> None:
     """Say what a scenario is: what every mission has, and what is not at its default."""
     chaser, start, goal, guard = scenario.chaser, scenario.start, scenario.goal, scenario.guard
-    place = ", ".join
     sheet.facts(
         {
             "target": scenario.target.source,
             "chaser": f"{chaser.mass:g} kg, within a ball of {chaser.radius:g} m; an axis at most "
             f"{chaser.force_limit:g} N and {chaser.speed_limit:g} m/s",
-            "start, body frame": f"[{place(f'{x:g}' for x in start.position)}] m at "
-            f"[{place(f'{x:g}' for x in start.velocity)}] m/s",
-            "goal, body frame": f"[{place(f'{x:g}' for x in goal.position)}] m within {goal.tolerance:g} m",
+            "start, body frame": f"{bracketed(start.position)} m at {bracketed(start.velocity)} m/s",
+            "goal, body frame": f"{bracketed(goal.position)} m within {goal.tolerance:g} m",
             "at most": f"{scenario.duration:g} s, steps of {scenario.control.period:g} s",
             "margin of the operator": f"{scenario.safety.margin:g} m",
             "law, guard": f'"{scenario.control.profile}", guard {"on" if guard.enabled else "off"}',

@@ -16,7 +16,7 @@ from keepout.core.whole_file import write_whole
 from keepout.flights.pages.approach_drawn import paint_legs, paint_rules
 from keepout.flights.pages.figures import draw_signal, logarithmic, looks, picture
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_mission
-from keepout.flights.pages.page import Markup, Provenance, at_least, foot
+from keepout.flights.pages.page import Markup, Provenance, at_least, bracketed, foot
 from keepout.flights.pages.replayed import Replayed
 from keepout.flights.pages.scene import Scene, rows_shown, scene
 
@@ -64,8 +64,8 @@ def write_replay(
 
 def _said(flight: Replayed, told: Mapping[str, Any]) -> str:
     verdict, scenario = flight.verdict, flight.scenario
-    start, goal = (", ".join(f"{x:g}" for x in at) for at in (flight.shown.position[0], scenario.goal.position))
-    way = f"from [{start}] m to [{goal}] m" if flight.share is None else f"from [{start}] m, to look at all of it,"
+    goal = ", to look at all of it," if flight.share is not None else f" to {bracketed(scenario.goal.position)} m"
+    way = f"from {bracketed(flight.shown.position[0])} m{goal}"
     words = f"{flight.name}: {way} around {flight.target.name}. Contact: {verdict.contact}"
     if np.isfinite(verdict.minimum_clearance):
         words += f"; {at_least(verdict.minimum_clearance)} at every instant"

@@ -90,8 +90,12 @@ def progress(title: str) -> Iterator[keepout_progress.Progress]:
     """Show how far the block is on standard error: a bar on a terminal, else a line every ten seconds; log it too."""
     console = Console(stderr=True)
     noted = _every(1.0, note, title)
-    if _heard.quiet or not console.is_terminal:
-        yield _both(keepout_progress.silent if _heard.quiet else _plain(console, title), noted)
+    if _heard.quiet:
+        yield noted
+        return
+    if not console.is_terminal:  # a line at most every ten seconds, so that logs stay short
+        show = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        yield _both(_every(10.0, show, title, time.monotonic()), noted)
         return
     columns = (
         SpinnerColumn(),
@@ -113,12 +117,6 @@ def _both(one: keepout_progress.Progress, other: keepout_progress.Progress) -> k
         other(fraction, message)
 
     return report
-
-
-def _plain(console: Console, title: str) -> keepout_progress.Progress:
-    """Give what prints a line at most every ten seconds, so that logs stay short."""
-    show = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
-    return _every(10.0, show, title, time.monotonic())
 
 
 def _every(
