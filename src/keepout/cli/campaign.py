@@ -8,25 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from keepout.cli.options import (
-    AsJson,
-    Commands,
-    Force,
-    ScenarioSeed,
-    Settings,
-    answer,
-    app,
-    at_least,
-    conclude,
-    example,
-    folder_of,
-    forget_campaign,
-    grouped,
-    into,
-    mission_of,
-    results_of,
-    usage,
-)
+from keepout.cli import options
+from keepout.cli.options import AsJson, Commands, Force, ScenarioSeed, Settings, app, at_least, example, grouped, into
 from keepout.core.errors import ScenarioError
 from keepout.core.progress import silent
 from keepout.flights.pages import terminal
@@ -100,11 +83,11 @@ def campaign(
 
     Exit code 3: too few runs meet a requirement of the scenario's [require].
     """
-    mission = mission_of(scenario, seed, settings)
+    mission = options.mission_of(scenario, seed, settings)
     if runs is not None:
         mission = mission.replace(campaign={"runs": runs})
-    folder = folder_of(out, mission, "campaign")
-    own = results_of("campaign", scenario, mission, folder, force=force)
+    folder = options.folder_of(out, mission, "campaign")
+    own = options.results_of("campaign", scenario, mission, folder, force=force)
     told = terminal.standing_lines() if as_json else (lambda standing: None)
     shown = contextlib.nullcontext(silent) if as_json else terminal.progress(f"campaign {mission.name}")
     with shown as progress, own:
@@ -112,7 +95,7 @@ def campaign(
         from keepout.flights.campaign.run import flyer_on, keep_of, scheduler_of
         from keepout.verbs.campaigns import complete
 
-        with usage():
+        with options.usage():
             keep = keep_of(how.keep)
             if how.scheduler is not None:
                 scheduler_of(how.scheduler)
@@ -124,7 +107,7 @@ def campaign(
     # What the guard assumes is for the file: two dozen numbers.
     left_out = ("guard", "kept", "refusals", "rates", "page", "require", "requirements")
     facts = terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k not in left_out})
-    conclude(summary, as_json, facts, terminal.rates_table(summary["rates"]), out=folder)
+    options.conclude(summary, as_json, facts, terminal.rates_table(summary["rates"]), out=folder)
 
 
 def _begun(out: Path, plan: "Plan", *, force: bool) -> "Dataset":
@@ -136,7 +119,7 @@ def _begun(out: Path, plan: "Plan", *, force: bool) -> "Dataset":
     except ScenarioError:
         if not (force and (out / "campaign.json").exists()):
             raise
-        forget_campaign(out)
+        options.forget_campaign(out)
         return Dataset.begin(out, plan)
 
 
@@ -150,7 +133,7 @@ def report(
 
     with terminal.progress(f"report {folder.name}") as progress:
         summary = report_campaign(folder, progress=progress)
-    conclude(summary, as_json, terminal.rates_table(summary["rates"]), out=folder)
+    options.conclude(summary, as_json, terminal.rates_table(summary["rates"]), out=folder)
 
 
 @campaigns.command("compare", epilog=example("keepout campaign compare out/guarded out/unguarded -o out/compared"))
@@ -166,7 +149,7 @@ def compare(
     with terminal.progress("compare") as progress:
         summary = compare_campaigns(first, second, out, progress=progress)
     page = [terminal.Line(f"open {summary['page']}")] if "page" in summary else []
-    answer(summary, as_json, *terminal.comparison_tables(summary), *summary["words"], *page)
+    options.answer(summary, as_json, *terminal.comparison_tables(summary), *summary["words"], *page)
 
 
 @campaigns.command("replay", epilog=example("keepout campaign replay out/campaign --run 47"))
@@ -210,4 +193,4 @@ def replay_run(
         }
         write_summary(out, summary)
     same = "equal to its row in the campaign" if summary["equal"] else f"differs: {summary['differences']}"
-    conclude(summary, as_json, terminal.flight_table(summary), f"Run {run}: {same}.", out=out, page=figures)
+    options.conclude(summary, as_json, terminal.flight_table(summary), f"Run {run}: {same}.", out=out, page=figures)
