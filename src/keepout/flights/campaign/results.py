@@ -242,6 +242,12 @@ class Scatter:
     values: Float[np.ndarray, "points"]
     contact: Bool[np.ndarray, "points"]
 
+    @property
+    def drawn(self) -> list[Any]:
+        """What was drawn for the factor: numbers, or of a choice its values as text."""
+        levels = self.factor.levels
+        return self.factor.values.astype(float).tolist() if levels is None else [levels[k] for k in self.factor.values]
+
 
 @dataclass(frozen=True)
 class Refusal:
@@ -421,7 +427,7 @@ class PairedDifference:
         figure: which.
         row: of a table: how many pairs have a finite value in both; mean and median of the differences with their 95 %
             intervals (Student's t, order statistics); the pairs in which the first is lower and in which it is higher,
-            and the p-value of both being as likely (the sign test, exact, two-sided).
+            and the p-value of both being as likely (the sign test, exact, two-sided). None stands for what is infinite.
         curve: differences at `shares`, ascending, a few hundred.
         shares: of pairs at or below.
 
@@ -445,7 +451,7 @@ class Comparison:
         unlike: runs of both numbers that did not, and are left out of the pairs.
         rates: differences of the rates.
         quantiles: a row of a table for each quantile of a figure in both, of all flights that have a finite value, and
-            the interval of the first less the second (`statistics.difference`), about 95 %, infinite where the
+            the interval of the first less the second (`statistics.difference`), about 95 %, None where the
             flights are too few.
         differences: by run; empty without pairs.
 
@@ -551,7 +557,12 @@ def _quantiles(figure: Figure, one: Outcomes, other: Outcomes) -> Iterator[dict[
         sides = statistics.quantile_interval(a, share), statistics.quantile_interval(b, share)
         low, high = statistics.difference((first, second), sides)
         row = {"figure": figure.label, "quantile": f"{100.0 * share:g} %", "A": first, "B": second}
-        yield row | {"A - B": first - second, "low": low, "high": high}
+        yield _known(row | {"A - B": first - second, "low": low, "high": high})
+
+
+def _known(row: dict[str, Any]) -> dict[str, Any]:
+    """Give a row with None for each number that is not finite."""
+    return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in row.items()}
 
 
 def _by_run(figure: Figure, one: Outcomes, other: Outcomes, same: Bool[np.ndarray, "runs"]) -> PairedDifference | None:
@@ -571,4 +582,4 @@ def _by_run(figure: Figure, one: Outcomes, other: Outcomes, same: Bool[np.ndarra
     row |= {"median A - B": float(ordered[rank(count, 0.5)]), "median low": low, "median high": high}
     row |= {"A lower": lower, "A higher": higher, "p of sign": statistics.mcnemar(lower, higher)}
     places = np.unique(np.linspace(0, count - 1, min(count, CURVE)).astype(int))
-    return PairedDifference(figure, row, ordered[places], (places + 1.0) / count)
+    return PairedDifference(figure, _known(row), ordered[places], (places + 1.0) / count)

@@ -17,8 +17,7 @@ import pyarrow as pa
 
 from keepout.core.audit.audit import Contact
 from keepout.core.cores import available_cores
-from keepout.core.errors import ClusterError, FlightError, ScenarioError
-from keepout.core.flight.record import FlightRecord
+from keepout.core.errors import ClusterError, ScenarioError
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk, records
 from keepout.flights.campaign.plan import Plan
@@ -189,7 +188,7 @@ def keep_flights(
     clearance = np.asarray(whole["minimum_clearance"].cast(pa.float64()).to_numpy(zero_copy_only=False), float)
     runs = np.flatnonzero(flown)
     chosen = [int(run) for run in runs[np.lexsort((runs, clearance[runs]))][:keep]]
-    wanted = [run for run in chosen if not _is_kept(dataset, run)]
+    wanted = [run for run in chosen if dataset.kept_record(run) is None]
     for first in range(0, len(wanted), plan.batch):
         for run, record in records(plan, wanted[first : first + plan.batch]):
             path = dataset.kept(run)
@@ -197,14 +196,6 @@ def keep_flights(
             record.save(path)
         told(len(chosen) - max(len(wanted) - first - plan.batch, 0), len(chosen))
     return chosen
-
-
-def _is_kept(dataset: Dataset, run: int) -> bool:
-    try:
-        header = FlightRecord.load(dataset.kept(run)).header
-    except FlightError:
-        return False
-    return header.get("campaign") == dataset.plan_sha256 and header.get("run") == run
 
 
 def scheduler_of(text: str) -> tuple[str, int]:
