@@ -59,7 +59,6 @@ class Draft:
     Attributes:
         scenario: as it would be flown.
         text: its TOML.
-        values: the entries in force, by dotted name.
         honoured_speed: the largest speed limit that the thrusters honour, m/s; None where no target was given.
         extents: of the target's bounding box, m; None likewise.
         remarks: what is to be done before it can be flown.
@@ -68,7 +67,6 @@ class Draft:
 
     scenario: Scenario
     text: str
-    values: dict[str, Any]
     honoured_speed: float | None = None
     extents: tuple[float, float, float] | None = None
     remarks: tuple[str, ...] = field(default=())
@@ -93,10 +91,8 @@ def draft(
     folder: Path = Path(),
     profile: str = "default",
     approach: bool = False,
-    units: str | None = None,
-    scale: float | None = None,
-    drop_stray: bool = False,
     progress: Progress = silent,
+    **read: Any,
 ) -> Draft:
     """Draft a scenario for a target, or the built-in one where none is given.
 
@@ -106,10 +102,8 @@ def draft(
         folder: where the file is going to be; file names in it are relative to that.
         profile: of the control law, "default" or "paper".
         approach: whether it leads from hold point to hold point, with a keep-out sphere and a corridor.
-        units: of the mesh file.
-        scale: of the mesh file, m a unit, instead of `units`.
-        drop_stray: leave out parts of the mesh far from the rest.
         progress: called as the work goes on.
+        **read: how the mesh file is read: `units`, `scale` (m a unit), `drop_stray` (without parts far from the rest).
 
     Raises:
         KeepoutError: the mesh cannot be used, or no speed limit can be flown around it.
@@ -122,12 +116,11 @@ def draft(
         defaults = Scenario.parse(_tree_of(values))
         values |= _numbers(defaults)
         values |= {"target.source": defaults.target.source, "field.source": defaults.field.source}
-        return Draft(defaults, _written(values, {}, (), source), values)
+        return Draft(defaults, _written(values, {}, (), source))
     from keepout.core.mission.target import load_target
 
     progress(0.0, "target")
-    mesh = {"source": source, "units": units, "scale": scale, "drop_stray": drop_stray or None}
-    given = {key: value for key, value in mesh.items() if value is not None}
+    given = {"source": source, **read}
     target = load_target(Scenario.parse({"target": given}).target)
     field_source, remarks = _field_of(target, given, folder)
     is_file = Path(source).exists() and target.name != source
@@ -158,7 +151,7 @@ def draft(
     if approach:
         notes = {name: said for name, said in notes.items() if name not in ("goal.position", "duration")}
     text = _written(values, notes, remarks, source) + tables
-    return Draft(scenario, text, values, honoured, (width, depth, height), remarks)
+    return Draft(scenario, text, honoured, (width, depth, height), remarks)
 
 
 def _field_of(target: "Target", mesh: dict[str, Any], folder: Path) -> tuple[str, tuple[str, ...]]:

@@ -47,7 +47,7 @@ class Plan(CampaignPlan):
         self.flown.append((first, last, batch))
         flight = np.arange(first, last)[:, None]
         values = {name: (flight + 0.1 * np.arange(SAMPLES)).astype(np.float32) for name in SERIES}
-        series = FlightSeries(np.arange(SAMPLES, dtype=float), values, 1)
+        series = FlightSeries(np.arange(SAMPLES, dtype=float), values)
         return SimpleNamespace(columns=lambda: columns(first, last), series=series, starts_drawn_again=11)
 
 

@@ -252,7 +252,7 @@ def flown(
 
 def series(arrays: dict[str, np.ndarray]) -> FlightSeries:
     """Give the time series of a campaign's arrays; every control step was kept."""
-    return FlightSeries(arrays["time"], {name: arrays[name] for name in SERIES}, 1)
+    return FlightSeries(arrays["time"], {name: arrays[name] for name in SERIES})
 
 
 def row(target: str, law: str, scenario: Scenario, arrays: dict[str, np.ndarray]) -> dict[str, Any]:

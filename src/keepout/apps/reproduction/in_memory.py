@@ -46,16 +46,14 @@ class FlightSeries:
     """Chosen quantities of every flight at common times.
 
     Attributes:
-        time: s after the start: every `stride`-th control step, and the end.
+        time: s after the start: control steps at one distance, and the end.
         values: by name as in `SERIES`, (flights, samples) each, float32; not a number where a flight did not land, or
             had ended.
-        stride: control steps from sample to sample.
 
     """
 
     time: Float[np.ndarray, "samples"]
     values: dict[str, Float[np.ndarray, "flights samples"]]
-    stride: int
 
     @classmethod
     def empty(
@@ -74,7 +72,7 @@ class FlightSeries:
             raise ScenarioError(f"series: a stride of {stride} control steps; it must be at least 1")
         stride = stride or max(1, -(-flights * (steps + 1) * len(names) // MOST_NUMBERS))
         rows = np.append(np.arange(0, steps, stride), steps)
-        return cls(rows * period, {name: np.full((flights, len(rows)), np.nan, np.float32) for name in names}, stride)
+        return cls(rows * period, {name: np.full((flights, len(rows)), np.nan, np.float32) for name in names})
 
     @property
     def columns(self) -> tuple[str, ...]:
