@@ -7,7 +7,6 @@ hold points on a line to a port, a keep-out sphere, a corridor and speeds too.
 
 import functools
 import itertools
-import json
 import math
 import os
 import textwrap
@@ -24,6 +23,7 @@ from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.mission.entries import ChaserEntry
 from keepout.core.mission.scenario import Scenario, entries_and_tables, is_number, is_vector, is_whole_number
 from keepout.core.progress import Progress, silent
+from keepout.flights.pages.page import toml
 
 if TYPE_CHECKING:
     import numpy as np
@@ -285,14 +285,14 @@ def _entry(name: str, field: FieldInfo, values: Mapping[str, Any], notes: Mappin
     if words and not all(word in said for word in words):
         said = f"{said}; one of {', '.join(words)}" if said else f"one of {', '.join(words)}"
     if name in values:
-        text = f"{key} = {_toml(values[name])}"
+        text = f"{key} = {toml(values[name])}"
     elif name == "campaign.dispersions":
         text = _DISPERSED
     elif name == "target.parameters":
         text = _PARAMETERS
     else:
         default = field.get_default(call_default_factory=True)
-        text = f"# {key} = {_toml(_example(field.annotation) if default is None else default)}"
+        text = f"# {key} = {toml(_example(field.annotation) if default is None else default)}"
     line = f"{text:<{_WIDTH}} # {said}" if said else text
     if len(line) <= _LONGEST:
         return [line]
@@ -320,11 +320,6 @@ def _example(kind: Any) -> Any:
     if str in get_args(kind):
         return "FILE"
     return ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
-
-def _toml(value: Any) -> str:
-    """Write a value as JSON does, which is TOML but for the one control character that JSON leaves as it is."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 _AWAY = (2.0, 10.0, 40.0)
@@ -421,4 +416,4 @@ def _freest(target: "Target", centre: "np.ndarray", away: list[float]) -> "tuple
 
 
 def _table(name: str, entries: Mapping[str, Any]) -> str:
-    return "\n".join([f"[[{name}]]", *(f"{key} = {json.dumps(value)}" for key, value in entries.items()), ""])
+    return "\n".join([f"[[{name}]]", *(f"{key} = {toml(value)}" for key, value in entries.items()), ""])

@@ -7,7 +7,7 @@ import importlib.util
 import re
 import time
 from collections.abc import Callable, Generator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import dataclass
 from threading import Lock
@@ -71,21 +71,11 @@ class Standing:
 def in_threads(plan: Plan, numbers: list[int], told: Told) -> Generator[ChunkResult, None, None]:
     """Fly chunks in this process, each in a thread of its own, one for each core at once."""
     workers = min(available_cores(), max(len(numbers), 1))
-    waiting = iter(numbers)
+    batches = 1 if workers > 1 else None
     pool = ThreadPoolExecutor(workers)
-
-    def fly(number: int) -> ChunkResult:
-        return fly_chunk(plan, number, workers=1 if workers > 1 else None, told=told)
-
     try:
-        under_way: set[Future[ChunkResult]] = {pool.submit(fly, n) for _, n in zip(range(workers), waiting)}
-        while under_way:
-            ready, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-            for future in ready:
-                following = next(waiting, None)
-                if following is not None:
-                    under_way.add(pool.submit(fly, following))
-                yield future.result()
+        for future in as_completed([pool.submit(fly_chunk, plan, n, workers=batches, told=told) for n in numbers]):
+            yield future.result()
     finally:
         pool.shutdown(cancel_futures=True)
 

@@ -195,7 +195,7 @@ def command() -> str:
 def as_toml(scenario: "Scenario") -> str:
     """Write a scenario with every entry that has a value, as a file that `keepout fly` takes."""
     tree = json.loads(scenario.model_dump_json())
-    alone = [f"{key} = {_value(value)}" for key, value in tree.items() if not isinstance(value, dict | None)]
+    alone = [f"{key} = {toml(value)}" for key, value in tree.items() if not isinstance(value, dict | None)]
     tables = [
         "\n".join(["", f"[{key}]", *_lines(value)]) for key, value in tree.items() if isinstance(value, dict) and value
     ]
@@ -208,14 +208,15 @@ def _lines(tree: Mapping[str, Any], above: str = "") -> Iterator[str]:
         if isinstance(value, dict) and value:
             yield from _lines(value, f"{name}.")
         elif value is not None:
-            yield f"{name} = {_value(value)}"
+            yield f"{name} = {toml(value)}"
 
 
-def _value(value: Any) -> str:
+def toml(value: Any) -> str:
+    """Write a value of an entry as TOML does."""
     if isinstance(value, dict):
         return f"{{{', '.join(_lines(value))}}}"
     if isinstance(value, list):
-        return f"[{', '.join(_value(entry) for entry in value)}]"
+        return f"[{', '.join(toml(entry) for entry in value)}]"
     # As JSON does, which is TOML but for the one control character that JSON leaves as it is.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
