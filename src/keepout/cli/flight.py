@@ -82,22 +82,18 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Print what was flown as four pages: mission and assumptions, what is proved, what was flown, requirements."""
-    if not pdf:
-        if out is not None or not (folder / "campaign.json").exists():
-            raise UsageError(
-                f"{folder}: give --pdf; only a campaign's page, index.html, can be written anew without it"
-            )
-        from keepout.flights.pages.campaign_page import report_campaign
-
-        with terminal.progress(f"report {folder.name}") as progress:
-            summary = report_campaign(folder, progress=progress)
-        options.answer(summary, as_json, terminal.Line(f"open {summary['page']}"))
-        return
+    if not pdf and (out is not None or not (folder / "campaign.json").exists()):
+        raise UsageError(f"{folder}: give --pdf; only a campaign's page, index.html, can be written anew without it")
     with terminal.progress(f"report {folder.name}") as progress:
-        from keepout.verbs import files
+        if pdf:
+            from keepout.verbs import files
 
-        written = files.report(folder, out, progress=progress)
-    options.answer({"report": str(written)}, as_json, terminal.Line(f"open {written}"))
+            summary = {"report": str(files.report(folder, out, progress=progress))}
+        else:
+            from keepout.flights.pages.campaign_page import report_campaign
+
+            summary = report_campaign(folder, progress=progress)
+    options.answer(summary, as_json, terminal.Line(f"open {summary['report' if pdf else 'page']}"))
 
 
 @app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))

@@ -65,26 +65,23 @@ def drawn(*, width: float, height: float, small: bool = False) -> Iterator[Figur
 
 
 @contextmanager
-def figure(
-    path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool = False, small: bool = False
-) -> Iterator[Figure]:
+def figure(path: Path, *, width: float = 8.0, height: float = 4.5, printed: bool = False) -> Iterator[Figure]:
     """Make a figure in the common style and save it to `path` when the block ends.
 
     Args:
         path: the image file to write (PNG).
         width: inches.
         height: inches.
-        vector: also write the same as SVG beside it, with text as text.
-        small: in small text.
+        printed: in small text, and written as SVG beside it too, with text as text.
 
     """
-    with drawn(width=width, height=height, small=small) as drawing:
+    with drawn(width=width, height=height, small=printed) as drawing:
         yield drawing
         engine = drawing.get_layout_engine()
         if engine is not None:  # saving would draw everything once more, unseen, for each file
             engine.execute(drawing)
             drawing.set_layout_engine(None)
-        for form in ("png", "svg") if vector else ("png",):
+        for form in ("png", "svg") if printed else ("png",):
             content = image(drawing, form, metadata={"Date": None} if form == "svg" else None)
             write_whole(path.with_suffix(f".{form}"), content)
 
@@ -105,7 +102,7 @@ def picture(paint: Callable[[Figure], Any], words: str, *, height: float = 5.0) 
 
 def column(path: Path, height: float, *, width: float = COLUMN) -> AbstractContextManager[Figure]:
     """Make a figure for print, one column wide if not said otherwise (inches), as PNG and SVG."""
-    return figure(path, width=width, height=height, vector=True, small=True)
+    return figure(path, width=width, height=height, printed=True)
 
 
 def looks(count: int, *, printed: bool = False) -> list[dict[str, Any]]:
