@@ -27,7 +27,7 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place, write_whole
 from keepout.flights.pages.approach_drawn import STILL, distance_left, paint_legs, paint_rules, places
 from keepout.flights.pages.figures import COLOURS, draw_signal, drawn, figure, image, logarithmic, picture
-from keepout.flights.pages.mesh_pictures import PATHS_FROM, draw_paths, eye_axes, paint_mission, paint_target
+from keepout.flights.pages.mesh_pictures import PATHS_FROM, draw_paths, eye_axes, paint_paths, paint_target
 from keepout.flights.pages.page import Headline, Markup, Page, Provenance, bad, tell_requirements, text, verdict_of
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Layer, Replayed, of_flights
@@ -312,11 +312,12 @@ def plot(flight: Flight, path: str | Path | None = None) -> Figure:
         "force, N": (np.linalg.norm(record.force, axis=1), None),
         "to the goal, m": (away, goal.tolerance),
     }
+    paths = {name: record.position}
     with drawn(width=11.0, height=9.0) as drawing:
         rows = drawing.add_gridspec(3, 2, height_ratios=(2.0, 1.0, 1.0))
         for place, side in enumerate(PATHS_FROM):
             panel = drawing.add_subplot(rows[0, place])
-            paint_mission(panel, flight.scenario, flight.target, {name: record.position}, eye_axes(*side))
+            paint_paths(panel, flight.target, paths, [goal.position], eye_axes(*side), scenario=flight.scenario)
         for place, (words, (values, limit)) in enumerate(series.items()):
             panel = drawing.add_subplot(rows[1 + place // 2, place % 2])
             panel.plot(record.time, values, linewidth=0.9)
@@ -333,8 +334,9 @@ def flight_html(flight: Flight) -> str:
     """Show a flight in a notebook: the verdict, its path around the target, and the replay."""
 
     def paint(drawing: Figure) -> None:
-        path, eye = {flight.scenario.name: flight.record.position}, eye_axes(*PATHS_FROM[0])
-        paint_mission(drawing.add_subplot(), flight.scenario, flight.target, path, eye)
+        scenario, eye = flight.scenario, eye_axes(*PATHS_FROM[0])
+        paths, goals = {scenario.name: flight.record.position}, [scenario.goal.position]
+        paint_paths(drawing.add_subplot(), flight.target, paths, goals, eye, scenario=scenario)
 
     with tempfile.TemporaryDirectory() as folder:
         watched = watched_html(replay(flight, Path(folder) / "replay.html"))

@@ -30,7 +30,7 @@ from keepout.flights.pages import campaign_page
 from keepout.flights.pages.approach_drawn import STILL
 from keepout.flights.pages.figures import drawn
 from keepout.flights.pages.flight_page import paint_motion
-from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_mission
+from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
 from keepout.flights.pages.page import Headline, Provenance, as_toml, bracketed, shown, verdict_of
 from keepout.flights.pages.replay_page import paint_clearance
 from keepout.flights.pages.replayed import Replayed, of_files
@@ -323,9 +323,10 @@ def _flight_parts(folder: Path, progress: Progress) -> _Parts:
 
     def mission(sheet: _Sheet) -> None:
         _mission(sheet, scenario)
-        goals = [] if "coverage" in summary else None  # who inspects flies to none
+        goals = [] if "coverage" in summary else [scenario.goal.position]  # who inspects flies to none
         for panel, side in zip(sheet.panels(2.9, 2), PATHS_FROM):
-            paint_mission(panel, scenario, flight.target, {flight.name: record.position}, eye_axes(*side), goals)
+            path = {flight.name: record.position}
+            paint_paths(panel, flight.target, path, goals, eye_axes(*side), scenario=scenario)
         words = "The path from two sides, dotted where hidden. Square: start; disc: end; star: goal."
         sheet.words(words + (f" {STILL}" if has_rules(scenario) else ""), **_QUIET)
         if summary.get("guard"):

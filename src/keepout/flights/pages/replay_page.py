@@ -15,7 +15,7 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.approach_drawn import paint_legs, paint_rules
 from keepout.flights.pages.figures import draw_signal, logarithmic, looks, picture
-from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_mission
+from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
 from keepout.flights.pages.page import Provenance, at_least, bracketed, foot
 from keepout.flights.pages.replayed import Replayed
 from keepout.flights.pages.scene import rows_shown, scene
@@ -91,7 +91,8 @@ def _picture(panel: Axes, flights: Sequence[Replayed]) -> None:
     upright = np.diag([1.0, -1.0, -1.0]) if flights[0].scenario.attitude.kind == "vvlh" else np.eye(3)
     paths = {flight.name: flight.shown.position[rows_shown(len(flight.shown.time))] for flight in flights}
     goals = {flight.scenario.goal.position for flight in flights if flight.share is None}
-    paint_mission(panel, flights[0].scenario, flights[0].target, paths, eye_axes(*PATHS_FROM[0]) @ upright, goals)
+    first, eye = flights[0], eye_axes(*PATHS_FROM[0]) @ upright
+    paint_paths(panel, first.target, paths, goals, eye, scenario=first.scenario)
 
 
 def paint_clearance(panel: Axes, flights: Sequence[Replayed]) -> None:
