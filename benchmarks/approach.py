@@ -20,10 +20,10 @@ import numpy as np
 from kept_rows import Rows, command, on_one_line, tell
 
 import keepout
+from keepout.apps.reproduction.in_memory import run_campaign
 from keepout.core.audit.audit import Contact
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
-from keepout.flights.campaign.campaign import run_campaign
 from keepout.flights.on_board import OnBoard
 from keepout.verbs.check import expected
 

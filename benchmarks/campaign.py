@@ -39,7 +39,7 @@ def main():
     parser.add_argument("--equipped", action="store_true", help="flights on sensors and thrusters, and nothing else")
     parser.add_argument("--json", metavar="OUT", help="write all figures here too")
     arguments = parser.parse_args()
-    from keepout.flights.pages.head_and_foot import machine
+    from keepout.flights.pages.page import machine
 
     found = {"machine": machine(), "date": datetime.date.today().isoformat(), "steps": arguments.steps}
     found["scaling_steps"] = arguments.scaling_steps
@@ -120,7 +120,7 @@ EQUIPPED = {
 def equipped(tables, flights, steps):
     """Time whole campaigns of drawn runs in memory: the first of 96, one of 128, and so many after it."""
     from keepout.apps.reproduction.case3 import DEFAULTS, case3_scenarios
-    from keepout.flights.campaign.campaign import plan_campaign
+    from keepout.apps.reproduction.in_memory import plan_campaign
 
     scenario = case3_scenarios(0, quick=False)["intelsat30", DEFAULTS].replace(duration=float(steps), **tables)
 
@@ -145,7 +145,7 @@ def equipped(tables, flights, steps):
 def planned(runs, *, law="default"):
     """Plan Case 3's campaign around intelsat30."""
     from keepout.apps.reproduction.case3 import DEFAULTS, PRINTED, case3_scenarios
-    from keepout.flights.campaign.campaign import plan_campaign
+    from keepout.apps.reproduction.in_memory import plan_campaign
     from keepout.flights.campaign.flying import initial_states
 
     scenario = case3_scenarios(0, quick=False)["intelsat30", DEFAULTS if law == "default" else PRINTED]

@@ -34,7 +34,7 @@ from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion
 from keepout.flights.on_board import OnBoard
-from keepout.flights.pages.head_and_foot import machine
+from keepout.flights.pages.page import machine
 
 CHASER = Chaser(mass=20.0, radius=0.5, force_limit=0.1, speed_limit=0.1)
 WIDTH, DEPTH, BETA = 96, 4, 100.0

@@ -30,7 +30,7 @@ def main():
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--out", metavar="JSON", help="write all figures here too")
     given = parser.parse_args()
-    from keepout.flights.pages.head_and_foot import machine
+    from keepout.flights.pages.page import machine
 
     load = os.getloadavg()[0]
     rows = [apart(given.cores, measure, guard, given.envs, given.steps, given.repeats) for guard in (False, True)]

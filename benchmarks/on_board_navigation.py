@@ -18,7 +18,7 @@ from keepout.core.flight import loop
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.on_board import OnBoard
-from keepout.flights.pages.head_and_foot import machine
+from keepout.flights.pages.page import machine
 
 
 def recorded(mission, steps):

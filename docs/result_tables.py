@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from keepout.flights.pages.terminal import shown
+from keepout.flights.pages.page import shown
 
 RESULTS = Path(__file__).parents[1] / "benchmarks" / "results"
 

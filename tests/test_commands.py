@@ -40,7 +40,8 @@ from keepout.core.geometry.builtin import BUILTINS
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.flights.pages.terminal import FLIGHT_COLUMNS, shown
+from keepout.flights.pages.page import shown
+from keepout.flights.pages.terminal import FLIGHT_COLUMNS
 
 pytestmark = pytest.mark.long
 

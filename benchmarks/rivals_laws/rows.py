@@ -9,7 +9,7 @@ import kept_rows
 
 import keepout
 from keepout.core.kept import digest
-from keepout.flights.pages.head_and_foot import machine
+from keepout.flights.pages.page import machine
 from rivals_laws.flying import Flown, laws_of, step_ms
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import RivalCase

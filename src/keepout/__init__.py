@@ -19,7 +19,7 @@ _OLD = {
     "FunctionField": ("core.fields.own:FunctionField", "keepout.core.fields.own.FunctionField"),
     "GuidancePlan": ("core.control.guidance:GuidancePlan", "keepout.core.control.guidance.GuidancePlan"),
     "fly_mission": ("core.mission.build:Mission.fly", "mission.fly()"),
-    "run_campaign": ("flights.campaign.campaign:run_campaign", "keepout.campaign(…)"),
+    "run_campaign": ("apps.reproduction.in_memory:run_campaign", "keepout.campaign(…)"),
     "with_disturbance": ("core.mission.build:Mission.with_disturbance", "mission.with_disturbance(…)"),
     "with_field": ("core.mission.build:Mission.with_field", "mission.with_field(…)"),
     "with_thrusters": ("core.mission.build:Mission.with_thrusters", "mission.with_thrusters(…)"),

@@ -1,7 +1,6 @@
 """Commands on many flights: campaign fly, report, compare, replay."""
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,34 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from keepout.cli.options import (
-    AsJson,
-    Commands,
-    Force,
-    ScenarioSeed,
-    Settings,
-    answer,
-    app,
-    at_least,
-    conclude,
-    example,
-    folder_of,
-    forget_campaign,
-    grouped,
-    into,
-    mission_of,
-    results_of,
-    usage,
-)
+from keepout.cli import options
+from keepout.cli.options import AsJson, Commands, Force, ScenarioSeed, Settings, app, at_least, example, grouped, into
 from keepout.core.errors import ScenarioError
-from keepout.core.progress import Progress, silent
+from keepout.core.progress import silent
 from keepout.flights.pages import terminal
 
 if TYPE_CHECKING:
-    from keepout.core.mission.scenario import Scenario
     from keepout.flights.campaign.dataset import Dataset
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import Standing
 
 
 class _FlyUnlessNamed(TyperGroup):
@@ -104,46 +84,31 @@ def campaign(
 
     Exit code 3: too few runs meet a requirement of the scenario's [require].
     """
-    mission = mission_of(scenario, seed, settings)
+    mission = options.mission_of(scenario, seed, settings)
     if runs is not None:
         mission = mission.replace(campaign={"runs": runs})
-    folder = folder_of(out, mission, "campaign")
-    own = results_of("campaign", scenario, mission, folder, force=force)
+    folder = options.folder_of(out, mission, "campaign")
+    own = options.results_of("campaign", scenario, mission, folder, force=force)
     told = terminal.standing_lines() if as_json else (lambda standing: None)
     shown = contextlib.nullcontext(silent) if as_json else terminal.progress(f"campaign {mission.name}")
     with shown as progress, own:
-        summary = _flown(mission, folder, how, force=force, told=told, progress=progress)
+        from keepout.flights.campaign.plan import Plan
+        from keepout.flights.campaign.run import flyer_on, keep_of, scheduler_of
+        from keepout.verbs.campaigns import complete
+
+        with options.usage():
+            keep = keep_of(how.keep)
+            if how.scheduler is not None:
+                scheduler_of(how.scheduler)
+        flyer = flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
+        progress(0.0, "preparing")
+        plan = Plan.of(mission, batch=how.batch)
+        dataset = _begun(folder, plan, force=force)
+        summary = complete(plan, dataset, keep=keep, flyer=flyer, told=told, progress=progress)
     # What the guard assumes is for the file: two dozen numbers.
     left_out = ("guard", "kept", "refusals", "rates", "page", "require", "requirements")
     facts = terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k not in left_out})
-    conclude(summary, as_json, facts, terminal.rates_table(summary["rates"]), out=folder)
-
-
-def _flown(
-    scenario: "Scenario",
-    out: Path,
-    how: _Flying,
-    *,
-    force: bool,
-    told: "Callable[[Standing], None]",
-    progress: Progress,
-) -> dict[str, Any]:
-    """Fly a campaign into `out`, or what is missing of it there; then its bands, page and `summary.json`.
-
-    `told` hears how far it is as flights land; `progress` too, in words. `force` replaces another campaign.
-    """
-    from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import flyer_on, keep_of, scheduler_of
-    from keepout.verbs.campaigns import complete
-
-    with usage():
-        keep = keep_of(how.keep)
-        if how.scheduler is not None:
-            scheduler_of(how.scheduler)
-    flyer = flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
-    progress(0.0, "preparing")
-    plan = Plan.of(scenario, batch=how.batch)
-    return complete(plan, _begun(out, plan, force=force), keep=keep, flyer=flyer, told=told, progress=progress)
+    options.conclude(summary, as_json, facts, terminal.rates_table(summary["rates"]), out=folder)
 
 
 def _begun(out: Path, plan: "Plan", *, force: bool) -> "Dataset":
@@ -155,7 +120,7 @@ def _begun(out: Path, plan: "Plan", *, force: bool) -> "Dataset":
     except ScenarioError:
         if not (force and (out / "campaign.json").exists()):
             raise
-        forget_campaign(out)
+        options.forget_campaign(out)
         return Dataset.begin(out, plan)
 
 
@@ -169,7 +134,7 @@ def report(
 
     with terminal.progress(f"report {folder.name}") as progress:
         summary = report_campaign(folder, progress=progress)
-    conclude(summary, as_json, terminal.rates_table(summary["rates"]), out=folder)
+    options.conclude(summary, as_json, terminal.rates_table(summary["rates"]), out=folder)
 
 
 @campaigns.command("compare", epilog=example("keepout campaign compare out/guarded out/unguarded -o out/compared"))
@@ -185,7 +150,7 @@ def compare(
     with terminal.progress("compare") as progress:
         summary = compare_campaigns(first, second, out, progress=progress)
     page = [terminal.Line(f"open {summary['page']}")] if "page" in summary else []
-    answer(summary, as_json, *terminal.comparison_tables(summary), *summary["words"], *page)
+    options.answer(summary, as_json, *terminal.comparison_tables(summary), *summary["words"], *page)
 
 
 @campaigns.command("replay", epilog=example("keepout campaign replay out/campaign --run 47"))
@@ -229,4 +194,4 @@ def replay_run(
         }
         write_summary(out, summary)
     same = "equal to its row in the campaign" if summary["equal"] else f"differs: {summary['differences']}"
-    conclude(summary, as_json, terminal.flight_table(summary), f"Run {run}: {same}.", out=out, page=figures)
+    options.conclude(summary, as_json, terminal.flight_table(summary), f"Run {run}: {same}.", out=out, page=figures)

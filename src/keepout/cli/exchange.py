@@ -6,22 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from keepout.cli.options import (
-    AsJson,
-    Seed,
-    Settings,
-    Units,
-    answer,
-    app,
-    example,
-    from_zero,
-    grouped,
-    into,
-    mission_of,
-    require_file,
-    target_entry,
-    usage,
-)
+from keepout.cli import options
+from keepout.cli.options import AsJson, Seed, Settings, Units, app, example, from_zero, grouped, into
 from keepout.core.errors import ExchangeError, UsageError
 from keepout.flights.pages import terminal
 
@@ -63,15 +49,15 @@ def export(
     from keepout.flights.exchange.export import Export
 
     if source.suffix != ".toml":
-        with usage():
+        with options.usage():
             Export(to, **vars(wanted)).check(source)
-        require_file(out, "", "", refusal=ExchangeError)
+        options.require_file(out, "", "", refusal=ExchangeError)
     with terminal.progress(f"export {source.name}") as progress:
         from keepout.verbs.files import export as exported
 
         written = exported(source, to, out, seed=seed, progress=progress, **vars(wanted))
     summary = {"source": str(source), **written}
-    answer(summary, as_json, terminal.facts_table("Export", summary))
+    options.answer(summary, as_json, terminal.facts_table("Export", summary))
 
 
 @dataclass(frozen=True)
@@ -136,11 +122,11 @@ class _Placed:
                 raise UsageError(f"--set {setting}: only with a scenario file (.toml) as --target, not {target}")
             if "rotation" in given:
                 given["rotation"] = tuple(given["rotation"][row : row + 3] for row in (0, 3, 6))
-            return target_entry({"source": target, **given}, options="--target-")
+            return options.target_entry({"source": target, **given}, options="--target-")
         for key in given:
             name = f"--target-{key.replace('_', '-')}"
             raise UsageError(f"{name}: not with the scenario {target}, whose [target] says how its mesh lies")
-        return mission_of(Path(target), None, settings).target
+        return options.mission_of(Path(target), None, settings).target
 
 
 @app.command(
@@ -173,4 +159,4 @@ def audit(
         summary = audited(**vars(given), target=entry, progress=progress)
     told = {key: value for key, value in summary.items() if key != "assumptions"}
     assumed = terminal.facts_table("It assumes", summary["assumptions"])
-    answer(summary, as_json, terminal.facts_table("Audit", told), assumed)
+    options.answer(summary, as_json, terminal.facts_table("Audit", told), assumed)

@@ -9,23 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from keepout.cli.options import (
-    AsJson,
-    Force,
-    ScenarioSeed,
-    Seed,
-    Settings,
-    add_mission_command,
-    answer,
-    app,
-    at_least,
-    conclude,
-    example,
-    folder_of,
-    into,
-    mission_of,
-    results_of,
-)
+from keepout.cli import options
+from keepout.cli.options import AsJson, Force, ScenarioSeed, Seed, Settings, app, at_least, example, into
 from keepout.core.errors import UsageError
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages import terminal
@@ -52,7 +37,7 @@ def fly_to_folder(
     return summary
 
 
-add_mission_command(
+options.add_mission_command(
     app,
     "fly",
     terminal.MissionCommand(
@@ -86,7 +71,7 @@ def replay(
         from keepout.verbs import files
 
         summary = files.replay(flights, out, title=title, video=video, progress=progress)
-    answer(summary, as_json, terminal.Line(f"open {summary['replay']}"))
+    options.answer(summary, as_json, terminal.Line(f"open {summary['replay']}"))
 
 
 @app.command(epilog=example("keepout report out/case1 --pdf", "keepout report out/campaign --pdf -o campaign.pdf"))
@@ -97,22 +82,18 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Print four pages: mission and assumptions, what is proved, what was flown, requirements."""
-    if not pdf:
-        if out is not None or not (folder / "campaign.json").exists():
-            raise UsageError(
-                f"{folder}: give --pdf; only a campaign's page, index.html, can be written anew without it"
-            )
-        from keepout.flights.pages.campaign_page import report_campaign
-
-        with terminal.progress(f"report {folder.name}") as progress:
-            summary = report_campaign(folder, progress=progress)
-        answer(summary, as_json, terminal.Line(f"open {summary['page']}"))
-        return
+    if not pdf and (out is not None or not (folder / "campaign.json").exists()):
+        raise UsageError(f"{folder}: give --pdf; only a campaign's page, index.html, can be written anew without it")
     with terminal.progress(f"report {folder.name}") as progress:
-        from keepout.verbs import files
+        if pdf:
+            from keepout.verbs import files
 
-        written = files.report(folder, out, progress=progress)
-    answer({"report": str(written)}, as_json, terminal.Line(f"open {written}"))
+            summary = {"report": str(files.report(folder, out, progress=progress))}
+        else:
+            from keepout.flights.pages.campaign_page import report_campaign
+
+            summary = report_campaign(folder, progress=progress)
+    options.answer(summary, as_json, terminal.Line(f"open {summary['report' if pdf else 'page']}"))
 
 
 @app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))
@@ -134,21 +115,21 @@ def rare(
 
     A killed run goes on from its last level when started again.
     """
-    mission = mission_of(scenario, seed, settings)
-    folder = folder_of(out, mission, "rare")
+    mission = options.mission_of(scenario, seed, settings)
+    folder = options.folder_of(out, mission, "rare")
     with terminal.progress(f"rare {mission.name}") as progress:
         from keepout.flights.pages.folder import write_summary
         from keepout.flights.pages.rare_page import write_rare
         from keepout.flights.rare_events.event import rare
 
         flights = 256 if quick else flights
-        with results_of("rare", scenario, mission, folder, force=force):
+        with options.results_of("rare", scenario, mission, folder, force=force):
             event = rare(
                 mission, below=below, runs=runs, flights=flights, state=folder, progress=part_of(progress, 0.0, 0.97)
             )
             summary = write_rare(folder, event)
             write_summary(folder, summary)
-    conclude(summary, as_json, out=folder)
+    options.conclude(summary, as_json, out=folder)
 
 
 @app.command(epilog=example("keepout reproduce all --quick -o out/paper"))
@@ -179,4 +160,4 @@ def reproduce(
         terminal.entries_table(f"{part.title}: {table.caption}", table.rows) for part in parts for table in part.tables
     ]
     last = terminal.Line(f"open {out / 'index.html'}")
-    answer([row for part in parts for row in part.named_rows], as_json, *tables, last)
+    options.answer([row for part in parts for row in part.named_rows], as_json, *tables, last)

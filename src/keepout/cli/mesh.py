@@ -7,19 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from keepout.cli.options import (
-    AsJson,
-    ChaserRadius,
-    MeshFile,
-    Seed,
-    answer,
-    app,
-    example,
-    grouped,
-    into,
-    require_file,
-    usage,
-)
+from keepout.cli import options
+from keepout.cli.options import AsJson, ChaserRadius, MeshFile, Seed, app, example, grouped, into
 from keepout.core.errors import FieldError
 from keepout.core.progress import Progress, part_of
 from keepout.core.whole_file import require_place
@@ -42,7 +31,7 @@ def targets(
     """List the built-in targets, with sizes and parameters."""
     with terminal.progress("targets") as progress:
         rows = describe_targets(pictures, progress)
-    answer({"targets": rows, "seed": seed}, as_json, terminal.targets_table(rows))
+    options.answer({"targets": rows, "seed": seed}, as_json, terminal.targets_table(rows))
 
 
 def describe_targets(pictures: Path | None, progress: Progress) -> list[dict[str, Any]]:
@@ -92,7 +81,7 @@ def describe(mesh: Mesh, *, out: DrawnInto = None, read: MeshFile, seed: Seed = 
         from keepout.verbs.meshes import describe as described
 
         summary = described(entry, out=out, progress=progress)
-    answer({**summary, "seed": seed}, as_json, terminal.mesh_table(summary))
+    options.answer({**summary, "seed": seed}, as_json, terminal.mesh_table(summary))
 
 
 @app.command(
@@ -140,10 +129,10 @@ def fit(
         from keepout.core.fields.model import FieldModel
         from keepout.core.learning.losses import find_profile
 
-        with usage():
+        with options.usage():
             numbers = find_profile(profile)
             numbers = profile if batch is None else numbers.with_batch(batch)
-        require_file(out, ".keepout", "a field file", refusal=FieldError)
+        options.require_file(out, ".keepout", "a field file", refusal=FieldError)
         part = part_of(progress, 0.0, 0.9) if certify else progress
         begun = None if first is None else FieldModel.load(first)
         settings = {"profile": numbers, "chaser_radius": chaser_radius, "seed": seed, "first": begun}
@@ -154,7 +143,7 @@ def fit(
             part = part_of(progress, 0.9, 1.0)
             proof["certificate"] = _certified(out, chaser_radius, seed=seed, progress=part)
     tables = [terminal.facts_table(title.capitalize(), of) for title, of in {"fit": summary, **proof}.items()]
-    answer(summary | proof, as_json, *tables)
+    options.answer(summary | proof, as_json, *tables)
 
 
 def _fitted(entry: "TargetEntry", out: Path, settings: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
@@ -208,14 +197,14 @@ def certify(
     if not check:
         with terminal.progress(f"certify {field.name}") as progress:
             summary = _certified(field, chaser_radius, prove_slope=prove_slope, mesh=mesh, seed=seed, progress=progress)
-        answer(summary, as_json, terminal.facts_table("Certificate", summary))
+        options.answer(summary, as_json, terminal.facts_table("Certificate", summary))
         return
     with terminal.progress(f"check {field.name}") as progress:
         summary = _checked(field, mesh, seed, progress)
     said = {True: "proved", False: "not proved"}
     rows = summary["certificates"]
     titles = [f"Certificate for {row['chaser_radius_m']:g} m: {said[row['proved']]}" for row in rows]
-    answer(summary, as_json, *map(terminal.facts_table, titles, rows))
+    options.answer(summary, as_json, *map(terminal.facts_table, titles, rows))
     raise typer.Exit(0 if summary["proved"] else 1)
 
 
@@ -324,9 +313,9 @@ def measure(
         from keepout.verbs.measures import measured
         from keepout.verbs.meshes import recorded_target
 
-        with usage():
+        with options.usage():
             path = shipped_path(field) if shipped else Path(field)
         target = load_target(recorded_target(path, FieldModel.load(path), mesh))
         model = FieldModel.load(path, target=target)
         summary = {"field": str(path), **measured(model, target, out, seed=seed, progress=progress)}
-    answer(summary, as_json, *terminal.measures_tables(summary))
+    options.answer(summary, as_json, *terminal.measures_tables(summary))

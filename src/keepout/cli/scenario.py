@@ -8,19 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from keepout.cli.options import (
-    AsJson,
-    Commands,
-    MeshFile,
-    Settings,
-    answer,
-    app,
-    example,
-    grouped,
-    into,
-    mission_of,
-    require_file,
-)
+from keepout.cli import options
+from keepout.cli.options import AsJson, Commands, MeshFile, Settings, app, example, grouped, into
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress
 from keepout.flights.pages import terminal
@@ -63,7 +52,7 @@ def new_scenario(
         sys.stdout.write(summary["text"])
         return
     told = [f"written to {out}", *(f"next: {step}" for step in summary["next"])]
-    answer(summary, as_json, *map(terminal.Line, told))
+    options.answer(summary, as_json, *map(terminal.Line, told))
 
 
 def _drafted(
@@ -74,7 +63,7 @@ def _drafted(
     from keepout.verbs.draft import draft
 
     if out is not None:
-        require_file(out, ".toml", "a scenario file", refusal=ScenarioError)
+        options.require_file(out, ".toml", "a scenario file", refusal=ScenarioError)
         if out.exists() and not force:
             raise ScenarioError(f"{out}: is there already; --force replaces it")
     if profile not in ("default", "paper"):
@@ -120,11 +109,11 @@ def check_scenario(
     If it would be refused, give the nearest values that would not be, with exit code 1.
     """
     with terminal.progress(f"check {scenario.name}") as progress:
-        mission = mission_of(scenario, None, settings)  # before what checks it is imported, which takes seconds
+        mission = options.mission_of(scenario, None, settings)  # before what checks it is imported, which takes seconds
         from keepout.verbs.check import check
 
         summary = check(mission, progress=progress).summary()
-    answer(summary, as_json, *terminal.check_parts(summary))
+    options.answer(summary, as_json, *terminal.check_parts(summary))
     if not summary["flies"]:
         raise typer.Exit(1)
 

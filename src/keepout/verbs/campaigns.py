@@ -3,9 +3,9 @@
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
@@ -139,7 +139,7 @@ class Campaign:
         return Plan.of(self.scenario, batch=self.dataset.identity["batch"])
 
     def _repr_html_(self) -> str:
-        from keepout.flights.pages.shown import watched_html
+        from keepout.flights.pages.flight_page import watched_html
 
         rates = self.figures["rates"]
         cells = (
@@ -224,14 +224,6 @@ def _varied(scenario: Scenario, runs: int | None, vary: Mapping[str, Any]) -> Sc
     return scenario.replace(campaign=changes | ({"dispersions": drawn} if vary else {}))
 
 
-@contextmanager
-def _set_at_its_end(event: Event) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        event.set()
-
-
 def complete(
     plan: Plan,
     dataset: Dataset,
@@ -270,7 +262,8 @@ def complete(
             raise CancelledError
         shared(0.95, f"{done} of {of} flights kept")
 
-    with dataset.lock(), ThreadPoolExecutor(1) as aside, _set_at_its_end(ended):
+    with dataset.lock(), ThreadPoolExecutor(1) as aside, ExitStack() as at_its_end:
+        at_its_end.callback(ended.set)
         imported = aside.submit(import_module, _PAGE)
         standing = fly_campaign(plan, dataset, flyer=flyer, told=tell)
         imported.result()

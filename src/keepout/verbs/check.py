@@ -39,6 +39,7 @@ from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages.mission_words import in_words
+from keepout.flights.pages.page import bracketed
 
 _LONGEST = 4
 """Times a scenario's own duration after which a way is given up."""
@@ -390,7 +391,7 @@ def _place(scenario: Scenario, target: Target, name: str, roomy: Any) -> tuple[N
     if near is None:
         return ()
     away = math.dist(near, place)
-    words = f"{name}.position = {_shown(near)}, {away:.3g} m away, is free"
+    words = f"{name}.position = {bracketed(near)}, {away:.3g} m away, is free"
     return (Nearest(f"{name}.position", near, words),)
 
 
@@ -458,10 +459,6 @@ def _remarks(mission: Mission, estimate: Expected) -> tuple[str, ...]:
     found += [f"beyond the guard's assumptions: {broken}" for broken in mission.assumptions_broken]
     found += [str(c) for c in mission.setup.controller.conditions if not c.satisfied]
     return tuple(found)
-
-
-def _shown(place: tuple[float, float, float]) -> str:
-    return f"[{', '.join(f'{x:g}' for x in place)}]"
 
 
 def number_refusal(scenario: Scenario, target: Target) -> KeepoutError | None:

@@ -7,7 +7,6 @@ hold points on a line to a port, a keep-out sphere, a corridor and speeds too.
 
 import functools
 import itertools
-import json
 import math
 import os
 import textwrap
@@ -24,6 +23,7 @@ from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.mission.entries import ChaserEntry
 from keepout.core.mission.scenario import Scenario, entries_and_tables, is_number, is_vector, is_whole_number
 from keepout.core.progress import Progress, silent
+from keepout.flights.pages.page import toml
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,7 +59,6 @@ class Draft:
     Attributes:
         scenario: as it would be flown.
         text: its TOML.
-        values: the entries in force, by dotted name.
         honoured_speed: the largest speed limit that the thrusters honour, m/s; None where no target was given.
         extents: of the target's bounding box, m; None likewise.
         remarks: what is to be done before it can be flown.
@@ -68,7 +67,6 @@ class Draft:
 
     scenario: Scenario
     text: str
-    values: dict[str, Any]
     honoured_speed: float | None = None
     extents: tuple[float, float, float] | None = None
     remarks: tuple[str, ...] = field(default=())
@@ -93,10 +91,8 @@ def draft(
     folder: Path = Path(),
     profile: str = "default",
     approach: bool = False,
-    units: str | None = None,
-    scale: float | None = None,
-    drop_stray: bool = False,
     progress: Progress = silent,
+    **read: Any,
 ) -> Draft:
     """Draft a scenario for a target, or the built-in one where none is given.
 
@@ -106,10 +102,8 @@ def draft(
         folder: where the file is going to be; file names in it are relative to that.
         profile: of the control law, "default" or "paper".
         approach: whether it leads from hold point to hold point, with a keep-out sphere and a corridor.
-        units: of the mesh file.
-        scale: of the mesh file, m a unit, instead of `units`.
-        drop_stray: leave out parts of the mesh far from the rest.
         progress: called as the work goes on.
+        **read: how the mesh file is read: `units`, `scale` (m a unit), `drop_stray` (without parts far from the rest).
 
     Raises:
         KeepoutError: the mesh cannot be used, or no speed limit can be flown around it.
@@ -122,12 +116,11 @@ def draft(
         defaults = Scenario.parse(_tree_of(values))
         values |= _numbers(defaults)
         values |= {"target.source": defaults.target.source, "field.source": defaults.field.source}
-        return Draft(defaults, _written(values, {}, (), source), values)
+        return Draft(defaults, _written(values, {}, (), source))
     from keepout.core.mission.target import load_target
 
     progress(0.0, "target")
-    mesh = {"source": source, "units": units, "scale": scale, "drop_stray": drop_stray or None}
-    given = {key: value for key, value in mesh.items() if value is not None}
+    given = {"source": source, **read}
     target = load_target(Scenario.parse({"target": given}).target)
     field_source, remarks = _field_of(target, given, folder)
     is_file = Path(source).exists() and target.name != source
@@ -158,7 +151,7 @@ def draft(
     if approach:
         notes = {name: said for name, said in notes.items() if name not in ("goal.position", "duration")}
     text = _written(values, notes, remarks, source) + tables
-    return Draft(scenario, text, values, honoured, (width, depth, height), remarks)
+    return Draft(scenario, text, honoured, (width, depth, height), remarks)
 
 
 def _field_of(target: "Target", mesh: dict[str, Any], folder: Path) -> tuple[str, tuple[str, ...]]:
@@ -292,14 +285,14 @@ def _entry(name: str, field: FieldInfo, values: Mapping[str, Any], notes: Mappin
     if words and not all(word in said for word in words):
         said = f"{said}; one of {', '.join(words)}" if said else f"one of {', '.join(words)}"
     if name in values:
-        text = f"{key} = {_toml(values[name])}"
+        text = f"{key} = {toml(values[name])}"
     elif name == "campaign.dispersions":
         text = _DISPERSED
     elif name == "target.parameters":
         text = _PARAMETERS
     else:
         default = field.get_default(call_default_factory=True)
-        text = f"# {key} = {_toml(_example(field.annotation) if default is None else default)}"
+        text = f"# {key} = {toml(_example(field.annotation) if default is None else default)}"
     line = f"{text:<{_WIDTH}} # {said}" if said else text
     if len(line) <= _LONGEST:
         return [line]
@@ -327,11 +320,6 @@ def _example(kind: Any) -> Any:
     if str in get_args(kind):
         return "FILE"
     return ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
-
-def _toml(value: Any) -> str:
-    """Write a value as JSON does, which is TOML but for the one control character that JSON leaves as it is."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 _AWAY = (2.0, 10.0, 40.0)
@@ -428,4 +416,4 @@ def _freest(target: "Target", centre: "np.ndarray", away: list[float]) -> "tuple
 
 
 def _table(name: str, entries: Mapping[str, Any]) -> str:
-    return "\n".join([f"[[{name}]]", *(f"{key} = {json.dumps(value)}" for key, value in entries.items()), ""])
+    return "\n".join([f"[[{name}]]", *(f"{key} = {toml(value)}" for key, value in entries.items()), ""])

@@ -19,10 +19,10 @@ from keepout.core.whole_file import require_place
 from keepout.flights.exchange.audited import Given, audit_files
 from keepout.flights.exchange.export import Export, export_field, export_flight, export_to
 from keepout.flights.pages.filmed import film, require_film
+from keepout.flights.pages.flight_page import require_page
 from keepout.flights.pages.printed import print_report
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_files, of_flights, of_records
-from keepout.flights.pages.shown import require_page
 from keepout.verbs.meshes import MeshLike, mesh_entry, mesh_of, recorded_target
 
 FlightLike = Flight | FlightRecord | str | Path
@@ -64,11 +64,9 @@ def replay(
     if len(paths) == len(given):
         gathered = of_files(paths, progress=part)
     else:
-        named = {
-            str(one) if isinstance(one, str | Path) else f"flight {place}": one for place, one in enumerate(given, 1)
-        }
         gathered = []
-        for name, one in named.items():
+        for place, one in enumerate(given, 1):
+            name = str(one) if isinstance(one, str | Path) else f"flight {place}"
             if isinstance(one, Flight):
                 gathered += of_flights({name if len(given) > 1 else one.scenario.name: one})
             else:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from keepout.apps.reproduction import case3
+from keepout.apps.reproduction.in_memory import SERIES, CampaignPlan, FlightSeries
 from keepout.apps.reproduction.work import Work
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import silent
-from keepout.flights.campaign.campaign import SERIES, CampaignPlan, FlightSeries
 
 RUNS = 7
 SAMPLES = 5
@@ -47,7 +47,7 @@ class Plan(CampaignPlan):
         self.flown.append((first, last, batch))
         flight = np.arange(first, last)[:, None]
         values = {name: (flight + 0.1 * np.arange(SAMPLES)).astype(np.float32) for name in SERIES}
-        series = FlightSeries(np.arange(SAMPLES, dtype=float), values, 1)
+        series = FlightSeries(np.arange(SAMPLES, dtype=float), values)
         return SimpleNamespace(columns=lambda: columns(first, last), series=series, starts_drawn_again=11)
 
 

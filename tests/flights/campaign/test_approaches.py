@@ -5,11 +5,11 @@ import pytest
 import trimesh
 from truths.approaches import TREE
 
+from keepout.apps.reproduction.in_memory import run_campaign
 from keepout.core.audit.tube import Contact
 from keepout.core.errors import KeepoutError
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.task_entries import RequireEntry
-from keepout.flights.campaign.campaign import run_campaign
 from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.table import summary
 from keepout.flights.requirements import required

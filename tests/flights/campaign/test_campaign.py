@@ -11,10 +11,10 @@ import time
 import numpy as np
 import pytest
 
+from keepout.apps.reproduction.in_memory import plan_campaign
 from keepout.core.errors import FlightError, ScenarioError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.scenario import Scenario
-from keepout.flights.campaign.campaign import plan_campaign
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.flying import fly_chunk
 from keepout.flights.campaign.plan import Plan

@@ -67,7 +67,7 @@ def test_a_killed_worker_loses_only_its_chunks_and_no_bit_differs(tmp_path):
 
         flyer = Killing(cluster.scheduler_address)
         standing = fly_campaign(plan, dataset, flyer=flyer)
-        assert all(not state.refusal for state in flyer.states.values())
+        assert set(flyer.kinds) == set(pids)
         assert set(pids.values()) - set(watching.run(os.getpid).values()) == {next(iter(pids.values()))}
         # The plan goes when the campaign is over.
         assert watching.run(lambda: len(worker._held)) == dict.fromkeys(watching.run(os.getpid), 0)
@@ -154,15 +154,16 @@ def test_a_worker_with_another_version_or_other_code_is_refused(other, said, her
 
 def test_a_worker_that_joins_late_with_other_code_flies_nothing(monkeypatch):
     monkeypatch.setattr(worker, "keep_to", lambda threads, cores: None)
+    monkeypatch.setattr(worker, "_address", lambda: "tcp://there:1")
     expected = worker.software() | {"code of keepout": "0123"}
     worker.take_plan("late", b"never unpacked", expected, 1, ())
     try:
         with pytest.raises(ClusterError, match=r"worker tcp://there:1: code of keepout .* there and 0123 here"):
-            worker.fly("late", 0, lambda: "tcp://there:1")
+            worker.fly("late", 0)
     finally:
         worker.drop_plan("late")
     with pytest.raises(ClusterError, match="was not given the plan"):
-        worker.fly("late", 0, lambda: "tcp://there:1")
+        worker.fly("late", 0)
 
 
 def test_several_kinds_of_processor_are_refused_unless_allowed(here, monkeypatch):
@@ -177,16 +178,18 @@ def test_several_kinds_of_processor_are_refused_unless_allowed(here, monkeypatch
     assert flown(cluster_at(here, mixed_processors=True)) == list(range(6))
 
 
-def test_a_cluster_without_workers_is_said_so():
+def test_a_cluster_without_workers_is_said_so(monkeypatch):
+    monkeypatch.setattr(worker, "WORKERS_SECONDS", 0.5)
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as empty:
-        flyer = cluster_at(empty, workers_seconds=0.5)
+        flyer = cluster_at(empty)
         with pytest.raises(ClusterError, match=r"scheduler: inproc://.* has had no worker for 0\.5 s; start workers"):
             flown(flyer)
 
 
 @pytest.mark.parametrize("when", ["in flight", "flown but not sent"])
-def test_workers_that_all_go_and_never_come_back_are_said_so(when, here):
-    flying = cluster_at(here, workers_seconds=1.0)(small_plan(), list(range(6)), silent)
+def test_workers_that_all_go_and_never_come_back_are_said_so(when, here, monkeypatch):
+    monkeypatch.setattr(worker, "WORKERS_SECONDS", 1.0)
+    flying = cluster_at(here)(small_plan(), list(range(6)), silent)
     next(flying)
     if when == "flown but not sent":  # what a worker had flown and took with it is not waited for
         until = time.monotonic() + 60.0
@@ -198,9 +201,10 @@ def test_workers_that_all_go_and_never_come_back_are_said_so(when, here):
         list(flying)
 
 
-def test_a_scheduler_that_does_not_answer_is_named_and_nothing_to_fly_asks_nobody():
+def test_a_scheduler_that_does_not_answer_is_named_and_nothing_to_fly_asks_nobody(monkeypatch):
+    monkeypatch.setattr(worker, "CONNECT_SECONDS", 1.0)
     said = r"scheduler: tcp://127\.0\.0\.1:1 did not answer in 1 s \(\w+Error"
     with pytest.raises(ClusterError, match=said) as raised:
-        flown(Cluster("tcp://127.0.0.1:1", connect_seconds=1.0))
+        flown(Cluster("tcp://127.0.0.1:1"))
     assert "\n" not in str(raised.value)
     assert flown(flyer_on("tcp://127.0.0.1:1"), []) == []

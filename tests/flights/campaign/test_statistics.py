@@ -66,7 +66,7 @@ def test_intervals_of_a_difference_of_medians_and_of_a_rank_correlation_cover_by
     for _ in range(500):
         a, b = np.sort(generator.exponential(1.0, 80)), np.sort(generator.exponential(2.0, 120))
         sides = [(float(np.median(x)), intervals.quantile_interval(x, 0.5)) for x in (a, b)]
-        low, high = intervals.difference_of_quantiles(*sides)
+        low, high = intervals.difference(*zip(*sides))
         medians += low <= -math.log(2.0) <= high  # medians log 2 and 2 log 2
         x = generator.standard_normal(n)
         y = r * x + np.sqrt(1.0 - r**2) * generator.standard_normal(n)

@@ -10,7 +10,7 @@ from PIL import Image
 from truths.browser import SOFTWARE, browsers, slide
 from truths.passing import STEPS, box_scenario, pass_position, pass_record
 
-from keepout.flights.pages.filmed import Film, chromium, film
+from keepout.flights.pages.filmed import chromium, film
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_records
 
@@ -201,13 +201,14 @@ def test_a_chaser_behind_the_target_is_still_marked(opened):
 
 
 @pytest.mark.slow  # the tests above look at the page that is filmed
-def test_a_film_shows_the_flight_and_a_row_of_pictures_too(page_path, tmp_path):
+def test_a_film_shows_the_flight_and_a_row_of_pictures_too(page_path, tmp_path, monkeypatch):
     if chromium() is None:
         pytest.skip("no chromium: install Debian's, or name one in KEEPOUT_CHROMIUM")
-    how = Film(seconds=0.3, rate=10, size=(640, 360), pictures=2)
-    with Image.open(film(page_path, tmp_path / "film.gif", how)) as gif:
+    for name, value in {"SECONDS": 0.3, "RATE": 10, "SIZE": (640, 360), "PICTURES": 2}.items():
+        monkeypatch.setattr(f"keepout.flights.pages.filmed.{name}", value)
+    with Image.open(film(page_path, tmp_path / "film.gif")) as gif:
         assert (gif.size, gif.n_frames) == ((640, 360), 3)
-    row = matplotlib.image.imread(film(page_path, tmp_path / "row.png", how))[..., :3]
+    row = matplotlib.image.imread(film(page_path, tmp_path / "row.png"))[..., :3]
     assert row.shape == (360, 1280, 3)
     assert (np.abs(row[:, :640] - row[:, 640:]).max(axis=2) > 0.2).sum() > 100
 

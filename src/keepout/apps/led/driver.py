@@ -33,7 +33,7 @@ from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress
-from keepout.flights.pages.head_and_foot import contact_said
+from keepout.flights.pages.page import contact_said
 
 Point = Float[np.ndarray, "3"]
 

@@ -19,8 +19,7 @@ from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress, never_back, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.folder import results_in, write_summary
-from keepout.flights.pages.head_and_foot import Headline, Provenance, machine
-from keepout.flights.pages.page import Markup, Page, text
+from keepout.flights.pages.page import Headline, Markup, Page, Provenance, machine, text
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_flights
 

@@ -15,13 +15,13 @@ from keepout.apps.reproduction.fitted import (
     solid_of,
     target_of,
 )
+from keepout.apps.reproduction.in_memory import SERIES, FlightSeries, plan_campaign
 from keepout.apps.reproduction.work import Part, Table, Work, side_by_side
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import load_model
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of
-from keepout.flights.campaign.campaign import SERIES, FlightSeries, plan_campaign
 
 PAPER = (
     "1000 flights each around InterSat-30 (x in [-15, 15] m, y in [-5, 5] m, z = -4 m, to [0, -10, 6] m, 3000 s) and "
@@ -252,7 +252,7 @@ def flown(
 
 def series(arrays: dict[str, np.ndarray]) -> FlightSeries:
     """Give the time series of a campaign's arrays; every control step was kept."""
-    return FlightSeries(arrays["time"], {name: arrays[name] for name in SERIES}, 1)
+    return FlightSeries(arrays["time"], {name: arrays[name] for name in SERIES})
 
 
 def row(target: str, law: str, scenario: Scenario, arrays: dict[str, np.ndarray]) -> dict[str, Any]:

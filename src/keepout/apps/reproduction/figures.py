@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import NullFormatter
 
+from keepout.apps.reproduction.in_memory import FlightSeries
 from keepout.core.mission.flight import Flight
-from keepout.flights.campaign.campaign import FlightSeries
 from keepout.flights.pages.figures import BANDS, COLOURS, COLUMN, column, draw_bands, draw_signal, logarithmic, looks
 from keepout.flights.pages.mesh_pictures import View, eye_axes, paint_paths, rasterise
 from keepout.flights.surface import Ellipsoid

@@ -57,6 +57,12 @@ def rate(b_from_a: Quaternion, angular_velocity: Vector) -> Quaternion:
     return -0.5 * multiply(jnp.concatenate([jnp.zeros(1), angular_velocity]), b_from_a)
 
 
+def without_jumps(quaternions: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
+    """Give the same rotations, with no change of sign from row to row; in whichever order their components are."""
+    turned = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
+    return quaternions * np.cumprod(np.append(1.0, np.where(turned, -1.0, 1.0)))[:, None]
+
+
 def vvlh_axes(target_position: Vector, target_velocity: Vector) -> Float[Array, "3 3"]:
     """Rotation VVLH ← ECI of a target at an ECI position and velocity; the rows are VVLH's axes."""
     z = -target_position / jnp.linalg.norm(target_position)

@@ -67,22 +67,6 @@ class Landed:
     processor_seconds: float
 
 
-@dataclass(frozen=True)
-class WorkerState:
-    """What a worker says of itself.
-
-    Attributes:
-        refusal: why it may not fly this plan; empty if it may.
-        processor: its kind.
-        process: its number.
-
-    """
-
-    refusal: str
-    processor: str
-    process: int
-
-
 @dataclass(eq=False)
 class Cluster:
     """Flies chunks on a cluster: a `Flyer`.
@@ -91,9 +75,7 @@ class Cluster:
         address: of its scheduler; empty where workers are started here.
         workers: processes to start here.
         mixed_processors: whether workers may have several kinds of processor.
-        connect_seconds: the longest wait for the scheduler.
-        workers_seconds: the longest time without any worker.
-        states: what each worker said of itself at the start, by address.
+        kinds: the kind of processor of each worker at the start, by address.
         costs: processor time of each chunk (s) on each worker, in the order they came back; the first one compiles.
 
     """
@@ -101,9 +83,7 @@ class Cluster:
     address: str = ""
     workers: int = 0
     mixed_processors: bool = False
-    connect_seconds: float = CONNECT_SECONDS
-    workers_seconds: float = WORKERS_SECONDS
-    states: dict[str, WorkerState] = field(default_factory=dict, init=False)
+    kinds: dict[str, str] = field(default_factory=dict, init=False)
     costs: dict[str, list[float]] = field(default_factory=dict, init=False)
 
     def __call__(self, plan: Plan, numbers: list[int], told: Told) -> Generator[ChunkResult, None, None]:
@@ -118,7 +98,7 @@ class Cluster:
         with ExitStack() as stack:
             client = stack.enter_context(self._client(stack))
             try:
-                client.wait_for_workers(1, timeout=self.workers_seconds)
+                client.wait_for_workers(1, timeout=WORKERS_SECONDS)
             except TimeoutError:
                 raise ClusterError(self._without_workers()) from None
             self._check_versions(client)
@@ -140,15 +120,15 @@ class Cluster:
 
         """
         told: Any = client.run(told_state, name)
-        self.states = dict(sorted(told.items()))
-        for address, state in self.states.items():
-            if state.refusal:
-                raise ClusterError(f"worker {address}: {state.refusal}; install the same there as here")
-        for address, state in self.states.items():
-            self._require_same_kind(address, state.processor)
+        for address, (refusal, _) in sorted(told.items()):
+            if refusal:
+                raise ClusterError(f"worker {address}: {refusal}; install the same there as here")
+        self.kinds = {address: kind for address, (_, kind) in sorted(told.items())}
+        for address, kind in self.kinds.items():
+            self._require_same_kind(address, kind)
 
     def _require_same_kind(self, address: str, processor: str) -> None:
-        kinds = {state.processor: known for known, state in reversed(self.states.items())}
+        kinds = {kind: known for known, kind in reversed(self.kinds.items())}
         if not self.mixed_processors and kinds.keys() - {processor}:
             other, known = next((kind, at) for kind, at in kinds.items() if kind != processor)
             raise ClusterError(
@@ -159,12 +139,12 @@ class Cluster:
     def _client(self, stack: ExitStack) -> Client:
         address: Any = self.address or stack.enter_context(_processes(self.workers))
         try:
-            return Client(address, timeout=self.connect_seconds, set_as_default=False, name="keepout")
+            return Client(address, timeout=CONNECT_SECONDS, set_as_default=False, name="keepout")
         except (OSError, ValueError) as error:
             cause = error.__cause__ or error  # a bare time-out has no text of its own
             said = re.sub(r"^in <[^>]*>: ", "", " ".join(str(cause).split()))[:200] or type(cause).__name__
             raise ClusterError(
-                f"scheduler: {address} did not answer in {self.connect_seconds:g} s ({said}); "
+                f"scheduler: {address} did not answer in {CONNECT_SECONDS:g} s ({said}); "
                 "is it running, and can it be reached from here?"
             ) from None
 
@@ -178,7 +158,7 @@ class Cluster:
 
     def _without_workers(self) -> str:
         return (
-            f"scheduler: {self.address or 'local'} has had no worker for {self.workers_seconds:g} s; "
+            f"scheduler: {self.address or 'local'} has had no worker for {WORKERS_SECONDS:g} s; "
             "start workers, and the same command again to go on"
         )
 
@@ -212,7 +192,7 @@ class Cluster:
             window = max(1, AHEAD * sum(threads.values()))
             for number in itertools.islice(waiting, max(0, window - len(under_way))):
                 key = f"{name}-{number}"
-                future = client.submit(fly, name, number, _address, key=key, pure=False)
+                future = client.submit(fly, name, number, key=key, pure=False)
                 under_way[future] = number
                 landing.add(future)
 
@@ -220,7 +200,7 @@ class Cluster:
             nonlocal without_since
             if client.scheduler_info()["workers"]:
                 without_since = time.monotonic()
-            elif time.monotonic() - without_since > self.workers_seconds:
+            elif time.monotonic() - without_since > WORKERS_SECONDS:
                 raise ClusterError(self._without_workers())
 
         hand_out()
@@ -315,6 +295,7 @@ def _processes(count: int) -> LocalCluster:
 
 _held: dict[str, Plan | str] = {}
 """Plans by the name that they were handed out under; text where this worker is refused, and says why."""
+_WITHOUT = "it was not given the plan"
 
 
 @functools.cache
@@ -388,28 +369,27 @@ def keep_to(threads: int, cores: tuple[int, ...]) -> None:
     pyarrow.set_cpu_count(threads)
 
 
-def fly(name: str, number: int, where: Callable[[], str]) -> Landed:
+def fly(name: str, number: int) -> Landed:
     """Fly one chunk of a plan that this worker has taken.
 
     Args:
         name: of the plan.
         number: of the chunk.
-        where: gives this worker's address.
 
     Raises:
         ClusterError: this worker may not fly it, or the chunk is refused.
 
     """
-    plan = _held.get(name, "it was not given the plan")
+    plan, address = _held.get(name, _WITHOUT), _address()
     if isinstance(plan, str):
-        raise ClusterError(f"worker {where()}: {plan}")
+        raise ClusterError(f"worker {address}: {plan}")
     counted: list[tuple[int, ...]] = []
     began = time.process_time()
     try:
         result = fly_chunk(plan, number, workers=1, told=lambda *some: counted.append(some))
     except KeepoutError as error:
-        raise ClusterError(f"{chunk_name(plan, number)}, on worker {where()}: {error}") from None
-    return Landed(result, tuple(counted), processor(), where(), time.process_time() - began)
+        raise ClusterError(f"{chunk_name(plan, number)}, on worker {address}: {error}") from None
+    return Landed(result, tuple(counted), processor(), address, time.process_time() - began)
 
 
 def chunk_name(plan: Plan, number: int) -> str:
@@ -418,7 +398,7 @@ def chunk_name(plan: Plan, number: int) -> str:
     return f"chunk {number} (runs {first} to {last - 1})"
 
 
-def told_state(name: str) -> WorkerState:
-    """Say how this worker is."""
-    plan = _held.get(name, "it was not given the plan")
-    return WorkerState(plan if isinstance(plan, str) else "", processor(), os.getpid())
+def told_state(name: str) -> tuple[str, str]:
+    """Say why this worker may not fly a plan, nothing if it may, and of what kind its processor is."""
+    plan = _held.get(name, _WITHOUT)
+    return plan if isinstance(plan, str) else "", processor()

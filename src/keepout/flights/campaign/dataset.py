@@ -28,6 +28,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Bool, Int
 
 from keepout.core.errors import FlightError, ScenarioError
+from keepout.core.flight.record import FlightRecord
 from keepout.core.kept import digest
 from keepout.core.mission.scenario import COMPONENTS, Scenario
 from keepout.core.progress import Progress, silent
@@ -59,13 +60,9 @@ class Dataset:
         """Open the folder of a plan, made where it is not there.
 
         Raises:
-            ScenarioError: it holds another campaign, or cannot be made a folder.
+            ScenarioError: it holds another campaign, or cannot be written to.
 
         """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ScenarioError(f"{folder}: cannot be made a folder ({error.strerror}); give another folder") from None
         identity = plan.identity()
         if not (folder / "campaign.json").exists():
             write_whole(folder / "campaign.json", json.dumps(identity, indent=1) + "\n", refusal=ScenarioError)
@@ -200,6 +197,14 @@ class Dataset:
     def kept(self, run: int) -> Path:
         """Where the flight file of a run is, if it is kept."""
         return self.folder / "kept" / f"run-{run:010d}.parquet"
+
+    def kept_record(self, run: int) -> FlightRecord | None:
+        """Read the flight file of a run; None where it is not kept, being written, or of another campaign."""
+        try:
+            record = FlightRecord.load(self.kept(run))
+        except FlightError:
+            return None
+        return record if (record.header.get("campaign"), record.header.get("run")) == (self.plan_sha256, run) else None
 
     def _table(self, number: int) -> Path:
         return self.folder / "flights" / f"part-{number:05d}.parquet"

@@ -242,6 +242,12 @@ class Scatter:
     values: Float[np.ndarray, "points"]
     contact: Bool[np.ndarray, "points"]
 
+    @property
+    def drawn(self) -> list[Any]:
+        """What was drawn for the factor: numbers, or of a choice its values as text."""
+        levels = self.factor.levels
+        return self.factor.values.astype(float).tolist() if levels is None else [levels[k] for k in self.factor.values]
+
 
 @dataclass(frozen=True)
 class Refusal:
@@ -419,32 +425,16 @@ class PairedDifference:
 
     Attributes:
         figure: which.
-        pairs: runs that have a finite value in both.
-        mean: of the differences.
-        mean_low: end of its 95 % interval (Student's t).
-        mean_high: the other end.
-        median: of the differences.
-        median_low: end of its 95 % interval (order statistics).
-        median_high: the other end.
-        lower: pairs in which the first is lower.
-        higher: pairs in which it is higher.
-        p_value: that both are as likely: the sign test, exact, two-sided.
+        row: of a table: how many pairs have a finite value in both; mean and median of the differences with their 95 %
+            intervals (Student's t, order statistics); the pairs in which the first is lower and in which it is higher,
+            and the p-value of both being as likely (the sign test, exact, two-sided). None stands for what is infinite.
         curve: differences at `shares`, ascending, a few hundred.
         shares: of pairs at or below.
 
     """
 
     figure: Figure
-    pairs: int
-    mean: float
-    mean_low: float
-    mean_high: float
-    median: float
-    median_low: float
-    median_high: float
-    lower: int
-    higher: int
-    p_value: float
+    row: dict[str, Any]
     curve: Float[np.ndarray, "points"]
     shares: Float[np.ndarray, "points"]
 
@@ -461,7 +451,7 @@ class Comparison:
         unlike: runs of both numbers that did not, and are left out of the pairs.
         rates: differences of the rates.
         quantiles: a row of a table for each quantile of a figure in both, of all flights that have a finite value, and
-            the interval of the first less the second (`difference_of_quantiles`), about 95 %, infinite where the
+            the interval of the first less the second (`statistics.difference`), about 95 %, None where the
             flights are too few.
         differences: by run; empty without pairs.
 
@@ -564,10 +554,15 @@ def _quantiles(figure: Figure, one: Outcomes, other: Outcomes) -> Iterator[dict[
         return
     for share in COMPARED:
         first, second = (float(of[rank(len(of), share)]) for of in (a, b))
-        intervals = (statistics.quantile_interval(of, share) for of in (a, b))
-        low, high = statistics.difference_of_quantiles(*zip((first, second), intervals))
+        sides = statistics.quantile_interval(a, share), statistics.quantile_interval(b, share)
+        low, high = statistics.difference((first, second), sides)
         row = {"figure": figure.label, "quantile": f"{100.0 * share:g} %", "A": first, "B": second}
-        yield row | {"A - B": first - second, "low": low, "high": high}
+        yield _known(row | {"A - B": first - second, "low": low, "high": high})
+
+
+def _known(row: dict[str, Any]) -> dict[str, Any]:
+    """Give a row with None for each number that is not finite."""
+    return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in row.items()}
 
 
 def _by_run(figure: Figure, one: Outcomes, other: Outcomes, same: Bool[np.ndarray, "runs"]) -> PairedDifference | None:
@@ -581,18 +576,10 @@ def _by_run(figure: Figure, one: Outcomes, other: Outcomes, same: Bool[np.ndarra
     mean = float(ordered.mean())
     wide = float(stats.t.ppf(0.975, count - 1) * ordered.std(ddof=1) / np.sqrt(count)) if count > 1 else np.inf
     lower, higher = int(np.sum(ordered < 0.0)), int(np.sum(ordered > 0.0))
-    places = np.unique(np.linspace(0, count - 1, min(count, 401)).astype(int))
-    return PairedDifference(
-        figure,
-        count,
-        mean,
-        mean - wide,
-        mean + wide,
-        float(ordered[rank(count, 0.5)]),
-        *statistics.quantile_interval(ordered, 0.5),
-        lower,
-        higher,
-        statistics.mcnemar(lower, higher),
-        ordered[places],
-        (places + 1.0) / count,
-    )
+    low, high = statistics.quantile_interval(ordered, 0.5)
+    row = {"figure": figure.label, "pairs": count}
+    row |= {"mean A - B": mean, "mean low": mean - wide, "mean high": mean + wide}
+    row |= {"median A - B": float(ordered[rank(count, 0.5)]), "median low": low, "median high": high}
+    row |= {"A lower": lower, "A higher": higher, "p of sign": statistics.mcnemar(lower, higher)}
+    places = np.unique(np.linspace(0, count - 1, min(count, CURVE)).astype(int))
+    return PairedDifference(figure, _known(row), ordered[places], (places + 1.0) / count)

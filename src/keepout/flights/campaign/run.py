@@ -7,7 +7,7 @@ import importlib.util
 import re
 import time
 from collections.abc import Callable, Generator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import dataclass
 from threading import Lock
@@ -17,8 +17,7 @@ import pyarrow as pa
 
 from keepout.core.audit.audit import Contact
 from keepout.core.cores import available_cores
-from keepout.core.errors import ClusterError, FlightError, ScenarioError
-from keepout.core.flight.record import FlightRecord
+from keepout.core.errors import ClusterError, ScenarioError
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk, records
 from keepout.flights.campaign.plan import Plan
@@ -72,21 +71,11 @@ class Standing:
 def in_threads(plan: Plan, numbers: list[int], told: Told) -> Generator[ChunkResult, None, None]:
     """Fly chunks in this process, each in a thread of its own, one for each core at once."""
     workers = min(available_cores(), max(len(numbers), 1))
-    waiting = iter(numbers)
+    batches = 1 if workers > 1 else None
     pool = ThreadPoolExecutor(workers)
-
-    def fly(number: int) -> ChunkResult:
-        return fly_chunk(plan, number, workers=1 if workers > 1 else None, told=told)
-
     try:
-        under_way: set[Future[ChunkResult]] = {pool.submit(fly, n) for _, n in zip(range(workers), waiting)}
-        while under_way:
-            ready, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-            for future in ready:
-                following = next(waiting, None)
-                if following is not None:
-                    under_way.add(pool.submit(fly, following))
-                yield future.result()
+        for future in as_completed([pool.submit(fly_chunk, plan, n, workers=batches, told=told) for n in numbers]):
+            yield future.result()
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -189,7 +178,7 @@ def keep_flights(
     clearance = np.asarray(whole["minimum_clearance"].cast(pa.float64()).to_numpy(zero_copy_only=False), float)
     runs = np.flatnonzero(flown)
     chosen = [int(run) for run in runs[np.lexsort((runs, clearance[runs]))][:keep]]
-    wanted = [run for run in chosen if not _is_kept(dataset, run)]
+    wanted = [run for run in chosen if dataset.kept_record(run) is None]
     for first in range(0, len(wanted), plan.batch):
         for run, record in records(plan, wanted[first : first + plan.batch]):
             path = dataset.kept(run)
@@ -197,14 +186,6 @@ def keep_flights(
             record.save(path)
         told(len(chosen) - max(len(wanted) - first - plan.batch, 0), len(chosen))
     return chosen
-
-
-def _is_kept(dataset: Dataset, run: int) -> bool:
-    try:
-        header = FlightRecord.load(dataset.kept(run)).header
-    except FlightError:
-        return False
-    return header.get("campaign") == dataset.plan_sha256 and header.get("run") == run
 
 
 def scheduler_of(text: str) -> tuple[str, int]:

@@ -53,7 +53,7 @@ def newcombe(first: tuple[int, int], second: tuple[int, int]) -> Interval:
     if not (first[1] and second[1]):
         return -1.0, 1.0
     rates = first[0] / first[1], second[0] / second[1]
-    return _square_and_add(rates, (_interval(*first), _interval(*second)), 0.0)
+    return difference(rates, (_interval(*first), _interval(*second)))
 
 
 def newcombe_paired(both: int, first_only: int, second_only: int, neither: int) -> Interval:
@@ -80,7 +80,7 @@ def newcombe_paired(both: int, first_only: int, second_only: int, neither: int) 
     correlation = product / margins if margins else 0.0
     rates = counts[0] / total, counts[1] / total
     sides = _interval(counts[0], total), _interval(counts[1], total)
-    return _square_and_add(rates, sides, correlation)
+    return difference(rates, sides, correlation)
 
 
 def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
@@ -120,22 +120,17 @@ def quantile_interval(ordered: Float[np.ndarray, "n"], share: float) -> Interval
     )
 
 
-def difference_of_quantiles(first: tuple[float, Interval], second: tuple[float, Interval]) -> Interval:
-    """Bound the first of two quantiles of separate runs less the second; each comes with its own interval.
-
-    Distances to the ends are squared and added, as in Newcombe's interval (Zou and Donner, Statistics in Medicine 27,
-    2008): about as sure as the two intervals are.
-    """
-    return _square_and_add((first[0], second[0]), (first[1], second[1]), 0.0)
-
-
 def _interval(count: int, total: int, method: str = "wilson") -> Interval:
     found = stats.binomtest(count, total).proportion_ci(CONFIDENCE, method=method)
     return float(found.low), float(found.high)
 
 
-def _square_and_add(values: tuple[float, float], sides: tuple[Interval, Interval], correlation: float) -> Interval:
-    """Give the difference's interval from those of its two sides."""
+def difference(values: tuple[float, float], sides: tuple[Interval, Interval], correlation: float = 0.0) -> Interval:
+    """Bound the first of two values less the second by the intervals of both: about as sure as the two are.
+
+    Distances to the ends are squared and added: of rates that is Newcombe's interval, of quantiles of separate runs
+    Zou and Donner's (Statistics in Medicine 27, 2008).
+    """
     (first, second), ((low_1, high_1), (low_2, high_2)) = values, sides
     down, up = (first - low_1, high_2 - second), (high_1 - first, second - low_2)
     return tuple(  # pyright: ignore[reportReturnType]

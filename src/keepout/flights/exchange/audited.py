@@ -136,10 +136,10 @@ def audit_files(target: Target, given: Given, *, progress: Progress = silent) ->
                 "--turning-acceleration-bound: not given, and 2 epochs do not show how the target's turning changes; a "
                 "number in rad/s² is valid"
             )
-        turning = measured_turning_acceleration(motion.time, motion.turn, turned)
+        turning = measured_turning_acceleration(motion.samples.time, motion.samples.turn, turned)
     progress(0.3, "audit")
     verdict = audit_passage(
-        Samples(motion.time, motion.relative, motion.relative_velocity, motion.turn),
+        motion.samples,
         target,
         chaser_radius=given.chaser_radius,
         bounds=SampleBounds(given.acceleration_bound, turning, sampled, motion.velocity_error, turned),
@@ -248,7 +248,7 @@ def _few_digits(given: Given, motion: "Encounter") -> list[str]:
     said, turned = [], motion.attitude_error
     if motion.position_error > max(given.sample_error, given.tolerance):
         said.append(f"positions have few digits: {motion.position_error:.4g} m is assumed as the sample error")
-    swung = turned * float(np.linalg.norm(motion.relative, axis=1).max())
+    swung = turned * float(np.linalg.norm(motion.samples.relative, axis=1).max())
     if turned > given.attitude_error and swung > given.tolerance:
         said.append(f"the target's axes have few digits: {turned:.4g} rad is assumed as the attitude error")
     return said
@@ -266,9 +266,7 @@ class Encounter:
 
     Attributes:
         epochs: rising, ns.
-        relative: chaser less target, inertial axes, m.
-        relative_velocity: m/s.
-        turn: rotations body ← inertial.
+        samples: at them, times from the first one.
         left_out: epochs of any of the files that another lacks.
         position_error: how far the digits of the files let a relative position be from the truth, m.
         velocity_error: the same of a relative velocity, m/s.
@@ -277,18 +275,11 @@ class Encounter:
     """
 
     epochs: Int[np.ndarray, "n"]
-    relative: Float[np.ndarray, "n 3"]
-    relative_velocity: Float[np.ndarray, "n 3"]
-    turn: Float[np.ndarray, "n 3 3"]
+    samples: Samples
     left_out: int
     position_error: float
     velocity_error: float
     attitude_error: float
-
-    @property
-    def time(self) -> Float[np.ndarray, "n"]:
-        """Seconds since the first epoch."""
-        return (self.epochs - self.epochs[0]) / 1e9
 
 
 def encounter(
@@ -333,11 +324,10 @@ def encounter(
     else:
         turn = np.broadcast_to(np.eye(3), (len(common), 3, 3))
         turned = np.zeros(len(common))
+    relative, speed = chaser.position[of_chaser] - position, chaser.velocity[of_chaser] - velocity
     return Encounter(
         common,
-        chaser.position[of_chaser] - position,
-        chaser.velocity[of_chaser] - velocity,
-        turn,
+        Samples((common - common[0]) / 1e9, relative, speed, turn),
         len(reduce(np.union1d, [file.epochs for file in files])) - len(common),
         float(np.max(_at(chaser.position_error, of_chaser) + astray)),
         float(np.max(_at(chaser.velocity_error, of_chaser) + drifting)),

@@ -27,6 +27,7 @@ from jaxtyping import Float, Int
 
 from keepout.core.errors import ExchangeError
 from keepout.core.mission.epoch import format_instant, parse_instant
+from keepout.core.motion.rotation import without_jumps
 from keepout.flights.exchange.message import Kind, Row, Segment, read_message, write_message
 
 VERSIONS: dict[Kind, tuple[str, ...]] = {"OEM": ("1.0", "2.0", "3.0"), "AEM": ("1.0", "2.0")}
@@ -189,12 +190,6 @@ def _write(
     }
     rows = [(time, *(f"{number:.15e}" for number in row)) for time, row in zip(times, numbers.tolist())]
     write_message(of.path, kind, Segment(VERSIONS[kind][-1], metadata, tuple(rows)), comments=comments, xml=xml)
-
-
-def without_jumps(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
-    """Give the same rotations, with no change of sign from row to row."""
-    turned = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
-    return quaternion * np.cumprod(np.append(1.0, np.where(turned, -1.0, 1.0)))[:, None]
 
 
 def read_oem(path: Path, *, wanted: SpaceObject | str | None = None, sample_error: float = 0.0) -> Orbit:

@@ -8,6 +8,7 @@ frame's axes stay what they are: glTF's viewers show its y axis upwards.
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -24,7 +25,8 @@ from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import require_place, write_whole
-from keepout.flights.exchange.flight_files import Craft, export_attitude, export_orbit, export_table, inertial_flight
+from keepout.flights.exchange import flight_files
+from keepout.flights.exchange.flight_files import Craft, inertial_flight
 from keepout.flights.pages.folder import make_folder
 
 FlightFormat = Literal["oem", "aem", "czml", "csv", "parquet", "npz", "glb"]
@@ -90,7 +92,8 @@ def export_flight(source: Path, wanted: Export, out: Path, *, progress: Progress
     text = record.header.get("scenario")
     if not text:
         raise ExchangeError(f"{source}: its header has no scenario, so no orbit; a flight of `keepout fly` has one")
-    return _export(record, Scenario.parse(json.loads(text), where=str(source)), wanted, out, source, progress)
+    scenario = Scenario.parse(json.loads(text), where=str(source))
+    return _export(record, scenario, wanted, out, lambda: _around(source, record, scenario, wanted.mesh), progress)
 
 
 def export_to(flight: Flight, to: str, where: Path, **wanted: Any) -> list[Path]:
@@ -106,8 +109,14 @@ def export_to(flight: Flight, to: str, where: Path, **wanted: Any) -> list[Path]
         KeepoutError: what cannot be written; the message names it.
 
     """
-    chosen, name = Export(to, **wanted), flight.scenario.name
+    chosen, name, mission = Export(to, **wanted), flight.scenario.name, flight.mission
     chosen.check(Path(f"{name}.parquet"))
+
+    def around() -> _Around:
+        if mission is not None:
+            return flight.target, mission.model
+        return _around(name, flight.record, flight.scenario, chosen.mesh)
+
     if where.suffix:
         written = {where: chosen}
     else:
@@ -118,8 +127,12 @@ def export_to(flight: Flight, to: str, where: Path, **wanted: Any) -> list[Path]
             written = {where / f"{craft}.oem": replace(chosen, craft=craft) for craft in crafts}
     for file, what in written.items():
         require_place(file, refusal=ExchangeError)
-        _export(flight.record, flight.scenario, what, file, Path(name), silent, flight)
+        _export(flight.record, flight.scenario, what, file, around, silent)
     return list(written)
+
+
+_Around = tuple[Target, FieldModel]
+"""What a flight was flown around, and the field that it was flown by."""
 
 
 def _export(
@@ -127,27 +140,35 @@ def _export(
     scenario: Scenario,
     wanted: Export,
     out: Path,
-    source: Path,
+    around: Callable[[], _Around],
     progress: Progress,
-    flown: Flight | None = None,
 ) -> dict[str, Any]:
-    xml = wanted.xml or out.suffix.lower() == ".xml"
-    match wanted.to:
-        case "oem":
-            flight = inertial_flight(record, scenario)
-            return export_orbit(flight, scenario.name, out, craft=wanted.craft or "chaser", xml=xml)
-        case "aem":
-            return export_attitude(inertial_flight(record, scenario), scenario.name, scenario.target, out, xml=xml)
-        case "czml":
-            from keepout.flights.exchange.flight_files import export_czml
+    if wanted.to == "glb":
+        target, model = around()
+        told = {"scenario": scenario.name, "epoch": scenario.epoch, "path_seconds": float(record.time[-1])}
+        flown = {"way": record.position, "told": told, "certificate": model.certificate(scenario.chaser.radius)}
+        return export_scene(target, out, model=model, **flown, progress=progress)
+    if wanted.to not in ("oem", "aem", "czml"):
+        return flight_files.export_table(record, scenario, out, to=wanted.to)
+    flight, xml = inertial_flight(record, scenario), wanted.xml or out.suffix.lower() == ".xml"
+    if wanted.to == "oem":
+        return flight_files.export_orbit(flight, scenario.name, out, craft=wanted.craft or "chaser", xml=xml)
+    if wanted.to == "aem":
+        return flight_files.export_attitude(flight, scenario.name, scenario.target, out, xml=xml)
+    return flight_files.export_czml(flight, scenario, out)
 
-            return export_czml(inertial_flight(record, scenario), scenario, out)
-        case "glb":
-            if flown is not None and flown.mission is not None:
-                return _scene_of(record, scenario, out, flown.target, flown.mission.model, progress)
-            return _flight_scene(source, record, scenario, out, wanted.mesh, progress)
-        case _:
-            return export_table(record, scenario, out, to=wanted.to)
+
+def _around(source: Path | str, record: FlightRecord, scenario: Scenario, mesh: str | None) -> _Around:
+    """Load what a recorded flight was flown around and by."""
+    entry = scenario.target if mesh is None else scenario.target.model_copy(update={"source": mesh})
+    target = load_target(entry)
+    flown = record.header.get("target_sha256")
+    if flown and flown != target.sha256:
+        raise ExchangeError(
+            f"{source}: was flown around another mesh ({flown[:12]}) than {entry.source} ({target.sha256[:12]}); name "
+            "the one it was flown around with --mesh"
+        )
+    return target, load_model(scenario, target)
 
 
 def export_field(
@@ -179,34 +200,6 @@ def export_field(
     assert target is not None, "a scene has a target"
     model.require_target(target, where="--mesh")
     return export_scene(target, out, model=model, certificate=certificate, progress=progress)
-
-
-def _flight_scene(
-    source: Path, record: FlightRecord, scenario: Scenario, out: Path, mesh: str | None, progress: Progress
-) -> dict[str, Any]:
-    entry = scenario.target if mesh is None else scenario.target.model_copy(update={"source": mesh})
-    target = load_target(entry)
-    flown = record.header.get("target_sha256")
-    if flown and flown != target.sha256:
-        raise ExchangeError(
-            f"{source}: was flown around another mesh ({flown[:12]}) than {entry.source} ({target.sha256[:12]}); name "
-            "the one it was flown around with --mesh"
-        )
-    return _scene_of(record, scenario, out, target, load_model(scenario, target), progress)
-
-
-def _scene_of(
-    record: FlightRecord, scenario: Scenario, out: Path, target: Target, model: FieldModel, progress: Progress
-) -> dict[str, Any]:
-    return export_scene(
-        target,
-        out,
-        model=model,
-        certificate=model.certificate(scenario.chaser.radius),
-        way=record.position,
-        told={"scenario": scenario.name, "epoch": scenario.epoch, "path_seconds": float(record.time[-1])},
-        progress=progress,
-    )
 
 
 def _certificate(model: FieldModel, chaser_radius: float | None) -> Certificate | None:

@@ -37,9 +37,9 @@ from keepout.core.mission.bounds import orbit_of
 from keepout.core.mission.entries import TargetEntry
 from keepout.core.mission.epoch import format_instant, leap_second_between, parse_instant
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.rotation import matrix, vvlh_axes
+from keepout.core.motion.rotation import matrix, vvlh_axes, without_jumps
 from keepout.core.whole_file import write_whole
-from keepout.flights.exchange.ephemeris import Attitude, Orbit, without_jumps, write_aem, write_oem
+from keepout.flights.exchange.ephemeris import Attitude, Orbit, write_aem, write_oem
 
 FRAME = "EME2000"
 CENTRE = "EARTH"
@@ -319,14 +319,8 @@ def earth_from_inertial(epochs: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 3 
     x = (2004.191898 * centuries - 0.4297829 * centuries**2) * _ARC_SECOND
     y = (-0.006951 - 0.025896 * centuries - 22.4072747 * centuries**2) * _ARC_SECOND
     # The rotation that takes the pole (X, Y, Z) to z by the shortest way, and then the Earth's own turn.
-    pole = np.stack([x, y, np.sqrt(1.0 - x**2 - y**2)], axis=1)
-    a = 1.0 / (1.0 + pole[:, 2])
-    to_pole = np.stack(
-        [
-            np.stack([1.0 - a * x * x, -a * x * y, -x], axis=1),
-            np.stack([-a * x * y, 1.0 - a * y * y, -y], axis=1),
-            pole,
-        ],
-        axis=1,
-    )
-    return Rotation.from_rotvec(np.multiply.outer(-2.0 * np.pi * turns, [0.0, 0.0, 1.0])).as_matrix() @ to_pole
+    z = np.sqrt(1.0 - x**2 - y**2)
+    a = 1.0 / (1.0 + z)
+    to_pole = [[1.0 - a * x * x, -a * x * y, -x], [-a * x * y, 1.0 - a * y * y, -y], [x, y, z]]
+    turned = Rotation.from_rotvec(np.multiply.outer(-2.0 * np.pi * turns, [0.0, 0.0, 1.0])).as_matrix()
+    return turned @ np.ascontiguousarray(np.moveaxis(np.array(to_pole), -1, 0))

@@ -32,20 +32,16 @@ def draw_campaign(path: Path, flights: pa.Table) -> None:
     clearance, reached, time_to_reach, speed = (flown[name].to_numpy(zero_copy_only=False) for name in DRAWN)
     reached = reached.astype(bool)
     with figure(path, width=11.0, height=3.8) as drawing:
-        first, second, third = drawing.subplots(1, 3)
-        finite = clearance[np.isfinite(clearance)]
-        if finite.size:
-            first.hist(finite, bins=40, color=COLOURS[0])
+        first, second, third = panels = drawing.subplots(1, 3)
+        measured = (clearance[np.isfinite(clearance)], time_to_reach[reached], speed[np.isfinite(speed)])
+        for axes, values, colour in zip(panels, measured, COLOURS[::2]):
+            if values.size:
+                axes.hist(values, bins=40, color=colour)
+            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         first.axvline(0.0, color="black", linewidth=0.8)
         first.set(xlabel="least clearance between samples, m", ylabel="flights")
-        if reached.any():
-            second.hist(time_to_reach[reached], bins=40, color=COLOURS[2])
         second.set(xlabel="time to reach, s", title=f"{int(reached.sum())} of {len(reached)} reached")
-        if np.isfinite(speed).any():
-            third.hist(speed[np.isfinite(speed)], bins=40, color=COLOURS[4])
         third.set(xlabel="Δv, m/s")
-        for axes in (first, second, third):
-            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def draw_distributions(path: Path, results: Results) -> None:

@@ -14,30 +14,19 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.ticker import MaxNLocator
 
-from keepout.core.errors import FlightError, KeepoutError, ScenarioError
-from keepout.core.flight.record import FlightRecord
+from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.mission.task_entries import RequireEntry
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.campaign.bands import LEAST, QUANTITIES, RELATIVE, SHARES, Bands
 from keepout.flights.campaign.dataset import Dataset, read_campaign
 from keepout.flights.campaign.plan import Workshop
-from keepout.flights.campaign.results import (
-    FIGURES,
-    QUANTILES,
-    SIGNIFICANT,
-    Comparison,
-    Results,
-    Scatter,
-    compare,
-    results,
-)
+from keepout.flights.campaign.results import FIGURES, QUANTILES, SIGNIFICANT, Comparison, Results, compare, results
 from keepout.flights.campaign.statistics import GROUPS, none_seen_bound
 from keepout.flights.pages import campaign_figures
 from keepout.flights.pages.figures import COLOURS, column, looks
 from keepout.flights.pages.folder import results_in
-from keepout.flights.pages.head_and_foot import Headline, Provenance
-from keepout.flights.pages.page import Markup, Page, Table, bad, finite, rows_of, tell_requirements, text
+from keepout.flights.pages.page import Headline, Markup, Page, Provenance, Table, bad, rows_of, tell_requirements, text
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed, of_record
 from keepout.flights.requirements import judged_campaign
@@ -201,9 +190,9 @@ def _tables(found: Results, bands: Bands) -> list[Table]:
         for row, p in zip(rows_of(found.influences, _INFLUENCE), found.corrected)
     ]
     points = [
-        {"dispersed": of.factor.name, "drawn": _drawn(of, k), "figure": of.figure.name, "value": value}
+        {"dispersed": of.factor.name, "drawn": drawn, "figure": of.figure.name, "value": value}
         for of in found.scatters
-        for k, value in enumerate(of.values.tolist())
+        for drawn, value in zip(of.drawn, of.values.tolist())
     ]
     over_time = {name: bands.quantiles(name, SHARES) for name in QUANTITIES}
     rows = [
@@ -231,11 +220,6 @@ def _quantiles(found: Results) -> list[dict[str, Any]]:
         row | {f"{100.0 * q:g} %": None if of.quantiles is None else of.quantiles[k] for k, q in enumerate(QUANTILES)}
         for row, of in zip(rows_of(found.distributions, columns), found.distributions)
     ]
-
-
-def _drawn(of: Scatter, place: int) -> Any:
-    value, levels = of.factor.values[place], of.factor.levels
-    return float(value) if levels is None else levels[int(value)]
 
 
 def _tell(page: Page, found: Results, replays: Mapping[int, Markup]) -> None:
@@ -354,11 +338,8 @@ def _write_replays(place: Path, found: Results, *, progress: Progress) -> dict[i
     curves: dict[int, Clearance] = {}
     for number, row in enumerate(found.worst):
         run = row["run"]
-        try:
-            record = FlightRecord.load(dataset.kept(run))
-        except FlightError:  # not kept, or being written: the page says so
-            continue
-        if record.header.get("campaign") != dataset.plan_sha256 or record.header.get("run") != run:
+        record = dataset.kept_record(run)
+        if record is None:  # the page says so
             continue
         try:
             flight = of_record(f"run {run}", record, workshop)
@@ -403,11 +384,6 @@ _RATES_OF_TWO = {
     **{"what": "first.name", "A": "first.rate", "A low": "first.low", "A high": "first.high"},
     **{"B": "second.rate", "B low": "second.low", "B high": "second.high"},
     **{"A - B": "difference", "low": "low", "high": "high", "p": "p_value"},
-}
-_BY_RUN = {
-    **{"figure": "figure.label", "pairs": "pairs", "mean A - B": "mean", "mean low": "mean_low"},
-    **{"mean high": "mean_high", "median A - B": "median", "median low": "median_low"},
-    **{"median high": "median_high", "A lower": "lower", "A higher": "higher", "p of sign": "p_value"},
 }
 _CAPTIONS = {
     "rates": "Rate of A less that of B, with its 95 % interval: where that holds zero, the two may be equal.",
@@ -463,13 +439,13 @@ def comparison_tables(found: Comparison) -> list[Table]:
         row | dict(zip(("both", "A only", "B only", "neither"), one.pairs or ()))
         for row, one in zip(rows_of(found.rates, _RATES_OF_TWO), found.rates)
     ]
-    quantiles = [{key: finite(value) for key, value in row.items()} for row in found.quantiles]
     differing = [{"entry": name, "A": json.dumps(a), "B": json.dumps(b)} for name, a, b in found.differing]
+    said = "Quantiles of the flights of each; the difference with an interval, about 95 %."
     return [
         Table("differing", "What differs between the two.", differing),
         Table("rates", "How often, with 95 % intervals.", rates),
-        Table("quantiles", "Quantiles of the flights of each; the difference with an interval, about 95 %.", quantiles),
-        Table("by_run", "A less B, run by run.", rows_of(found.differences, _BY_RUN)),
+        Table("quantiles", said, found.quantiles),
+        Table("by_run", "A less B, run by run.", [one.row for one in found.differences]),
     ]
 
 

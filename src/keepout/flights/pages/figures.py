@@ -2,7 +2,7 @@
 
 import io
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from keepout.core.whole_file import write_whole
+from keepout.flights.pages.page import Markup, embedded
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, distinguishable by colour-blind readers."""
@@ -64,34 +65,44 @@ def drawn(*, width: float, height: float, small: bool = False) -> Iterator[Figur
 
 
 @contextmanager
-def figure(
-    path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool = False, small: bool = False
-) -> Iterator[Figure]:
+def figure(path: Path, *, width: float = 8.0, height: float = 4.5, printed: bool = False) -> Iterator[Figure]:
     """Make a figure in the common style and save it to `path` when the block ends.
 
     Args:
         path: the image file to write (PNG).
         width: inches.
         height: inches.
-        vector: also write the same as SVG beside it, with text as text.
-        small: in small text.
+        printed: in small text, and written as SVG beside it too, with text as text.
 
     """
-    with drawn(width=width, height=height, small=small) as drawing:
+    with drawn(width=width, height=height, small=printed) as drawing:
         yield drawing
         engine = drawing.get_layout_engine()
         if engine is not None:  # saving would draw everything once more, unseen, for each file
             engine.execute(drawing)
             drawing.set_layout_engine(None)
-        for form in ("png", "svg") if vector else ("png",):
-            image = io.BytesIO()
-            drawing.savefig(image, format=form, metadata={"Date": None} if form == "svg" else None)
-            write_whole(path.with_suffix(f".{form}"), image.getvalue())
+        for form in ("png", "svg") if printed else ("png",):
+            content = image(drawing, form, metadata={"Date": None} if form == "svg" else None)
+            write_whole(path.with_suffix(f".{form}"), content)
+
+
+def image(drawing: Figure, form: str = "png", **how: Any) -> bytes:
+    """Give the content of a file of a figure, "png", "svg" or "pdf"."""
+    stream = io.BytesIO()
+    drawing.savefig(stream, format=form, **how)
+    return stream.getvalue()
+
+
+def picture(paint: Callable[[Figure], Any], words: str, *, height: float = 5.0) -> Markup:
+    """Give what `paint` draws (height in inches) as an element that holds it, with words for who cannot see it."""
+    with drawn(width=8.0, height=height) as drawing:
+        paint(drawing)
+        return embedded(image(drawing, dpi=100), words)
 
 
 def column(path: Path, height: float, *, width: float = COLUMN) -> AbstractContextManager[Figure]:
     """Make a figure for print, one column wide if not said otherwise (inches), as PNG and SVG."""
-    return figure(path, width=width, height=height, vector=True, small=True)
+    return figure(path, width=width, height=height, printed=True)
 
 
 def looks(count: int, *, printed: bool = False) -> list[dict[str, Any]]:

@@ -7,10 +7,9 @@ extra `video` brings the last two. Frames are taken at times of the flight, not 
 import io
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from fractions import Fraction
 from importlib import import_module
 from importlib.util import find_spec
@@ -31,28 +30,14 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """Draws without a graphics card."""
 ENDINGS = (".mp4", ".gif", ".webp", ".png")
+SECONDS, RATE = 10.0, 12
+"""That a film lasts, whatever the flight lasts, and its frames a second."""
+SIZE = (1280, 720)
+"""Width and height, pixels."""
+PICTURES = 5
+"""In a row, where the file is a PNG."""
 _SETTLED = 600
 """Milliseconds after which a picture at rest is drawn finer where there is no graphics card."""
-
-
-@dataclass(frozen=True)
-class Film:
-    """How a replay is filmed.
-
-    Attributes:
-        seconds: that the film lasts, whatever the flight lasts.
-        rate: frames a second.
-        size: width and height, pixels.
-        pictures: in a row, where the file is a PNG.
-        keys: pressed before, as in docs/flights-out.md.
-
-    """
-
-    seconds: float = 10.0
-    rate: int = 12
-    size: tuple[int, int] = (1280, 720)
-    pictures: int = 5
-    keys: Sequence[str] = ()
 
 
 def chromium() -> str | None:
@@ -82,7 +67,7 @@ def require_film(out: Path) -> None:
 
 
 @contextmanager
-def opened(replay: Path, size: tuple[int, int] = (1280, 720)) -> Iterator[Any]:
+def opened(replay: Path) -> Iterator[Any]:
     """Open a replay in a browser without a window, and give Playwright's page once it is drawn.
 
     Raises:
@@ -94,7 +79,7 @@ def opened(replay: Path, size: tuple[int, int] = (1280, 720)) -> Iterator[Any]:
     with sync_playwright() as playwright:
         try:
             browser = playwright.chromium.launch(executable_path=chromium(), args=list(SOFTWARE))
-            page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
             page.goto(replay.absolute().as_uri())
             page.wait_for_selector("#replay[data-ready]", timeout=120_000)
         except Error as error:
@@ -109,7 +94,7 @@ def seek(page: Any, share: float) -> None:
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
-def film(replay: Path, out: Path, how: Film = Film(), *, progress: Progress = silent) -> Path:
+def film(replay: Path, out: Path, *, progress: Progress = silent) -> Path:
     """Film a replay from its start to its end, or take a row of pictures of it.
 
     A flight that stays at its goal is followed for a tenth of its way longer.
@@ -117,7 +102,6 @@ def film(replay: Path, out: Path, how: Film = Film(), *, progress: Progress = si
     Args:
         replay: the page, as `write_replay` writes it.
         out: .mp4, .gif or .webp for a film, .png for pictures in a row.
-        how: how long, how large.
         progress: told after each frame.
 
     Raises:
@@ -126,23 +110,27 @@ def film(replay: Path, out: Path, how: Film = Film(), *, progress: Progress = si
 
     """
     require_film(out)
-    with ThreadPoolExecutor(
-        1
-    ) as apart:  # as a notebook's thread has a loop of its own, in which Playwright does not run
-        apart.submit(_film, replay, out, how, progress).result()
+    with ThreadPoolExecutor(1) as apart:  # Playwright does not run in a notebook's thread, which has a loop of its own
+        apart.submit(_film, replay, out, progress).result()
     progress(1.0, "")
     return out
 
 
-def _film(replay: Path, out: Path, how: Film, progress: Progress) -> None:
-    still = out.suffix.lower() == ".png"
-    count = how.pictures if still else max(round(how.seconds * how.rate), 2)
-    with opened(replay, how.size) as page:
-        for key in how.keys:
-            page.keyboard.press(key)
+def _film(replay: Path, out: Path, progress: Progress) -> None:
+    ending, stored = out.suffix.lower(), io.BytesIO()
+    still = ending == ".png"
+    count = PICTURES if still else max(round(SECONDS * RATE), 2)
+    with opened(replay) as page:
         page.evaluate("document.querySelector('.controls').open = false")
         frames = _frames(page, np.linspace(0.0, _last(page), count), progress, settle=_SETTLED if still else 0)
-        {".mp4": _write_mp4, ".png": _write_row}.get(out.suffix.lower(), _write_moving)(out, frames, how)
+        if still:
+            _write_row(stored, frames)
+        elif ending == ".mp4":
+            _write_mp4(stored, frames)
+        else:
+            first, step = next(frames), round(1000 / RATE)
+            first.save(stored, ending.lstrip("."), save_all=True, append_images=frames, duration=step, loop=0)
+    write_whole(out, stored.getvalue(), refusal=ExchangeError)
 
 
 def _last(page: Any) -> float:
@@ -162,33 +150,22 @@ def _frames(page: Any, shares: np.ndarray, progress: Progress, *, settle: int) -
         progress((number + 1) / len(shares), f"frame {number + 1} of {len(shares)}")
 
 
-def _write_mp4(out: Path, frames: "Iterator[Image]", how: Film) -> None:
+def _write_mp4(stored: io.BytesIO, frames: "Iterator[Image]") -> None:
     av: Any = import_module("av")
-    stored = io.BytesIO()
     with av.open(stored, "w", format="mp4") as container:
-        stream: Any = container.add_stream("libx264", rate=Fraction(how.rate), options={"crf": "20"})
-        stream.width, stream.height = (side - side % 2 for side in how.size)  # as yuv420p wants them
+        stream: Any = container.add_stream("libx264", rate=Fraction(RATE), options={"crf": "20"})
+        stream.width, stream.height = (side - side % 2 for side in SIZE)  # as yuv420p wants them
         stream.pix_fmt = "yuv420p"
         for frame in frames:
             container.mux(stream.encode(av.VideoFrame.from_image(frame)))
         container.mux(stream.encode())
-    write_whole(out, stored.getvalue(), refusal=ExchangeError)
 
 
-def _write_moving(out: Path, frames: "Iterator[Image]", how: Film) -> None:
-    stored, first = io.BytesIO(), next(frames)
-    kind = out.suffix.lower().lstrip(".")
-    first.save(stored, kind, save_all=True, append_images=frames, duration=round(1000 / how.rate), loop=0)
-    write_whole(out, stored.getvalue(), refusal=ExchangeError)
-
-
-def _write_row(out: Path, frames: "Iterator[Image]", how: Film) -> None:
+def _write_row(stored: io.BytesIO, frames: "Iterator[Image]") -> None:
     from PIL import Image
 
-    width, height = how.size
-    row = Image.new("RGB", (width * how.pictures, height))
+    width, height = SIZE
+    row = Image.new("RGB", (width * PICTURES, height))
     for place, frame in enumerate(frames):
         row.paste(frame, (place * width, 0))
-    stored = io.BytesIO()
     row.save(stored, "png", optimize=True)
-    write_whole(out, stored.getvalue(), refusal=ExchangeError)

@@ -194,6 +194,8 @@ def paint_paths(
     goals: Iterable[Sequence[float]],
     eye: Float[np.ndarray, "3 3"],
     looked: Mapping[str, Mapping[str, Any]] | None = None,
+    *,
+    scenario: Scenario | None = None,
 ) -> None:
     """Show flown paths (body frame, m) around a target in a panel; what it hides of them is dotted.
 
@@ -204,6 +206,7 @@ def paint_paths(
         goals: stars, m.
         eye: its axes as rows.
         looked: how each path looks, by name; if not given, as `looks` says.
+        scenario: whose zones, corridors and hold points are shown too.
 
     """
     view, looked = paint_target(axes, target, eye), looked or dict(zip(paths, looks(len(paths))))
@@ -223,6 +226,8 @@ def paint_paths(
         axes.plot(*stars[:, :2].T, color="black", marker="*", markersize=9, linestyle="", label="goal")
     axes.autoscale()
     axes.margins(0.03)
+    if scenario is not None:
+        paint_bodies(axes, scenario, eye)
 
 
 def _finely(path: Float[np.ndarray, "samples 3"], step: float) -> Float[np.ndarray, "places 3"]:
@@ -255,8 +260,7 @@ def draw_paths(
     with figure(path, width=11.0, height=float(np.clip(5.0 * max(shapes) + 0.9, 3.0, 9.0))) as drawing:
         panels = drawing.subplots(1, 2)
         for axes, side in zip(panels, PATHS_FROM):
-            paint_paths(axes, target, paths, [goal], eye_axes(*side))
-            paint_bodies(axes, scenario, eye_axes(*side))
+            paint_paths(axes, target, paths, [goal], eye_axes(*side), scenario=scenario)
         drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(len(paths) + 3, 6))
 
 

@@ -14,6 +14,7 @@ from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.task_entries import LegEntry, ZoneEntry
 from keepout.core.mission.zones import named
 from keepout.core.plug_ins import load
+from keepout.flights.pages.page import bracketed
 from keepout.flights.requirements import required
 
 _ESTIMATE = {
@@ -59,7 +60,7 @@ def in_words(scenario: Scenario, target: Target) -> tuple[str, ...]:
     sentences = [
         _around(scenario, target),
         _turning(scenario),
-        f"From {_place(scenario.start.position)} m to {_place(scenario.goal.position)} m, "
+        f"From {bracketed(scenario.start.position)} m to {bracketed(scenario.goal.position)} m, "
         f"{apart:.3g} m apart, in {scenario.duration:g} s, at up to {chaser.speed_limit:g} m/s.",
         *_approach(scenario),
         _thrusters(scenario),
@@ -103,8 +104,8 @@ def _turning(scenario: Scenario) -> str:
     rate = math.degrees(math.hypot(*attitude.angular_velocity))
     torque = "; the Earth's gravity turns it too" if attitude.gravity_gradient else ""
     return (
-        f"The target tumbles freely, at first at {rate:.3g} °/s about {_place(attitude.angular_velocity)} rad/s in its "
-        f"body axes{torque}."
+        f"The target tumbles freely, at first at {rate:.3g} °/s about {bracketed(attitude.angular_velocity)} rad/s in "
+        f"its body axes{torque}."
     )
 
 
@@ -127,11 +128,11 @@ def _approach(scenario: Scenario) -> Iterator[str]:
                 )
             name = named("corridor", entry, number)
             clear = "" if entry.clear_from is None else f", proved clear from {entry.clear_from:g} m on"
-            told.append(f"{name}, {form}, within {entry.length:g} m of the port {_place(entry.port)} m{clear}")
+            told.append(f"{name}, {form}, within {entry.length:g} m of the port {bracketed(entry.port)} m{clear}")
         yield f"The chaser's centre stays in {_count(len(told), 'corridor')}: {'; '.join(told)}."
     rule = scenario.approach.speed_by_distance
     if rule:
-        to = "the mesh" if scenario.approach.distance_to is None else f"{_place(scenario.approach.distance_to)} m"
+        to = "the mesh" if scenario.approach.distance_to is None else f"{bracketed(scenario.approach.distance_to)} m"
         pairs = ", ".join(f"{speed:g} m/s at {distance:g} m" for distance, speed in rule)
         yield f"By the distance to {to} it flies at up to {pairs}; between two of these in proportion, beyond as there."
 
@@ -143,7 +144,7 @@ def _leg(leg: LegEntry, number: int) -> str:
     held += [f'until "go" (in simulation at {leg.go_at:g} s)'] if leg.go_at is not None else []
     hold = f", held {' and '.join(held)}" if held else ""
     speed += ", slow enough to drift past without thrust" if leg.drift_safe else ""
-    place = _place(leg.position) + (" m" if leg.axes == "body" else f" m ({leg.axes})")
+    place = bracketed(leg.position) + (" m" if leg.axes == "body" else f" m ({leg.axes})")
     return f"{named('leg', leg, number)} to {place} within {leg.tolerance:g} m{speed}{window}{hold}"
 
 
@@ -225,7 +226,3 @@ def _faults(scenario: Scenario) -> Iterator[str]:
         yield f"The mission is abandoned at {faults.abort_at:g} s: from then on {back}."
     if faults.thruster is not None:
         yield f"Thruster {faults.thruster} sticks {faults.thruster_stuck} from {faults.stuck_from:g} s on."
-
-
-def _place(place: tuple[float, float, float]) -> str:
-    return f"[{', '.join(f'{x:g}' for x in place)}]"

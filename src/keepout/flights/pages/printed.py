@@ -27,14 +27,13 @@ from keepout.flights import requirements
 from keepout.flights.campaign.dataset import read_campaign
 from keepout.flights.campaign.results import results
 from keepout.flights.pages import campaign_page
-from keepout.flights.pages.approach_drawn import STILL, paint_bodies
+from keepout.flights.pages.approach_drawn import STILL
 from keepout.flights.pages.figures import drawn
 from keepout.flights.pages.flight_page import paint_motion
-from keepout.flights.pages.head_and_foot import Headline, Provenance, as_toml, verdict_of
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
+from keepout.flights.pages.page import Headline, Provenance, as_toml, bracketed, shown, verdict_of
 from keepout.flights.pages.replay_page import paint_clearance
 from keepout.flights.pages.replayed import Replayed, of_files
-from keepout.flights.pages.terminal import shown
 
 _WIDTH, _HEIGHT, _MARGIN, _FOOT = 8.27, 11.69, 0.8, 0.7
 """Of a sheet, inches."""
@@ -263,15 +262,13 @@ def _numbers(entries: Mapping[str, Any]) -> dict[str, Any]:
 def _mission(sheet: _Sheet, scenario: Scenario) -> None:
     """Say what a scenario is: what every mission has, and what is not at its default."""
     chaser, start, goal, guard = scenario.chaser, scenario.start, scenario.goal, scenario.guard
-    place = ", ".join
     sheet.facts(
         {
             "target": scenario.target.source,
             "chaser": f"{chaser.mass:g} kg, within a ball of {chaser.radius:g} m; an axis at most "
             f"{chaser.force_limit:g} N and {chaser.speed_limit:g} m/s",
-            "start, body frame": f"[{place(f'{x:g}' for x in start.position)}] m at "
-            f"[{place(f'{x:g}' for x in start.velocity)}] m/s",
-            "goal, body frame": f"[{place(f'{x:g}' for x in goal.position)}] m within {goal.tolerance:g} m",
+            "start, body frame": f"{bracketed(start.position)} m at {bracketed(start.velocity)} m/s",
+            "goal, body frame": f"{bracketed(goal.position)} m within {goal.tolerance:g} m",
             "at most": f"{scenario.duration:g} s, steps of {scenario.control.period:g} s",
             "margin of the operator": f"{scenario.safety.margin:g} m",
             "law, guard": f'"{scenario.control.profile}", guard {"on" if guard.enabled else "off"}',
@@ -328,8 +325,8 @@ def _flight_parts(folder: Path, progress: Progress) -> _Parts:
         _mission(sheet, scenario)
         goals = [] if "coverage" in summary else [scenario.goal.position]  # who inspects flies to none
         for panel, side in zip(sheet.panels(2.9, 2), PATHS_FROM):
-            paint_paths(panel, flight.target, {flight.name: record.position}, goals, eye_axes(*side))
-            paint_bodies(panel, scenario, eye_axes(*side))
+            path = {flight.name: record.position}
+            paint_paths(panel, flight.target, path, goals, eye_axes(*side), scenario=scenario)
         words = "The path from two sides, dotted where hidden. Square: start; disc: end; star: goal."
         sheet.words(words + (f" {STILL}" if has_rules(scenario) else ""), **_QUIET)
         if summary.get("guard"):

@@ -8,8 +8,7 @@ import numpy as np
 
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.figures import COLOURS, figure, logarithmic
-from keepout.flights.pages.head_and_foot import Headline, Provenance
-from keepout.flights.pages.page import Page, Table, finite
+from keepout.flights.pages.page import Headline, Page, Provenance, Table, finite
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_flights
 from keepout.flights.rare_events.event import RareEvent

@@ -1,7 +1,6 @@
 """The replay of flights as a page: the scene, the viewer that comes with the package, and figures for print."""
 
 import html
-import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
@@ -10,16 +9,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.approach_drawn import paint_bodies, paint_legs, paint_rules
-from keepout.flights.pages.figures import draw_signal, drawn, logarithmic, looks
-from keepout.flights.pages.head_and_foot import Provenance, at_least
+from keepout.flights.pages.approach_drawn import paint_legs, paint_rules
+from keepout.flights.pages.figures import draw_signal, logarithmic, looks, picture
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
-from keepout.flights.pages.page import Markup, embedded, foot
+from keepout.flights.pages.page import Provenance, at_least, bracketed, foot
 from keepout.flights.pages.replayed import Replayed
-from keepout.flights.pages.scene import Scene, rows_shown, scene
+from keepout.flights.pages.scene import rows_shown, scene
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 """What the page may fetch: nothing."""
@@ -47,26 +46,39 @@ def write_replay(
     shown = scene(flights, progress=part_of(progress, 0.0, 0.85))
     progress(0.85, "figures")
     last = f"distance to the {_aim(flights)}" if _have_goals(flights) else "share of the surface that was seen"
-    figures = {
-        "The target and the flights, seen from one side; a path behind the target is dotted.": _shown(
-            "target and paths", flights, _picture, 5.0
-        ),
-        "Clearance on the exact mesh, shaded down to its proved lower bound over each step.": _shown(
-            "clearance", flights, paint_clearance, 2.6
-        ),
-        f"Speed, applied force and {last}.": _shown("motion", flights, _motion, 4.6, rows=3),
-    }
-    told = [shown.told["target"]["remark"], *(_said(*pair) for pair in zip(flights, shown.told["flights"]))]
-    words = [words for words in told if words]
-    _write(path, shown, title=title, words=words, figures=figures, foot=foot(Provenance.of(flights)))
+    seen = "The target and the flights, seen from one side; a path behind the target is dotted."
+    clear = "Clearance on the exact mesh, shaded down to its proved lower bound over each step."
+    # Where no script runs, and in print.
+    pictures = _shown(seen, "target and paths", flights, _picture, 5.0)
+    pictures += _shown(clear, "clearance", flights, paint_clearance, 2.6)
+    pictures += _shown(f"Speed, applied force and {last}.", "motion", flights, _motion, 4.6, rows=3)
+    said = [shown.told["target"]["remark"], *(_said(*pair) for pair in zip(flights, shown.told["flights"]))]
+    paragraphs = "".join(f"<p>{html.escape(words)}</p>" for words in said if words)
+    told = json.dumps(shown.told | {"title": title}, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    libraries = json.loads(viewer("manifest.json"))["libraries"]
+    licences = ", ".join(f"{entry['name']} {entry['version']} ({entry['licence']})" for entry in libraries)
+    write_whole(
+        path,
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{html.escape(title)}</title><style>{viewer('replay.css')}</style>"
+        "<noscript><style>#replay{display:none}#figures{display:block!important}</style></noscript></head><body>"
+        '<main id="replay"></main>'
+        f'<section id="figures"><h1>{html.escape(title)}</h1>{paragraphs}{pictures}'
+        f"<p>Made by Keepout; the viewer holds {html.escape(licences)}.</p>{foot(Provenance.of(flights))}</section>"
+        f'<script type="application/json" id="scene">{told}</script>'
+        f'<script type="text/plain" id="content">{shown.content}</script>'
+        f"<script>{viewer('replay.js')}</script></body></html>\n",
+    )
     progress(1.0, "")
     return {"replay": str(path), "bytes": path.stat().st_size, "flights": [flight.name for flight in flights]}
 
 
 def _said(flight: Replayed, told: Mapping[str, Any]) -> str:
     verdict, scenario = flight.verdict, flight.scenario
-    start, goal = (", ".join(f"{x:g}" for x in at) for at in (flight.shown.position[0], scenario.goal.position))
-    way = f"from [{start}] m to [{goal}] m" if flight.share is None else f"from [{start}] m, to look at all of it,"
+    goal = ", to look at all of it," if flight.share is not None else f" to {bracketed(scenario.goal.position)} m"
+    way = f"from {bracketed(flight.shown.position[0])} m{goal}"
     words = f"{flight.name}: {way} around {flight.target.name}. Contact: {verdict.contact}"
     if np.isfinite(verdict.minimum_clearance):
         words += f"; {at_least(verdict.minimum_clearance)} at every instant"
@@ -79,8 +91,8 @@ def _picture(panel: Axes, flights: Sequence[Replayed]) -> None:
     upright = np.diag([1.0, -1.0, -1.0]) if flights[0].scenario.attitude.kind == "vvlh" else np.eye(3)
     paths = {flight.name: flight.shown.position[rows_shown(len(flight.shown.time))] for flight in flights}
     goals = {flight.scenario.goal.position for flight in flights if flight.share is None}
-    paint_paths(panel, flights[0].target, paths, goals, eye_axes(*PATHS_FROM[0]) @ upright)
-    paint_bodies(panel, flights[0].scenario, eye_axes(*PATHS_FROM[0]) @ upright)
+    first, eye = flights[0], eye_axes(*PATHS_FROM[0]) @ upright
+    paint_paths(panel, first.target, paths, goals, eye, scenario=first.scenario)
 
 
 def paint_clearance(panel: Axes, flights: Sequence[Replayed]) -> None:
@@ -127,55 +139,20 @@ def _have_goals(flights: Sequence[Replayed]) -> bool:
     return any(flight.share is None for flight in flights)
 
 
-def _shown(words: str, flights: Sequence[Replayed], draw: Callable[..., None], height: float, rows: int = 1) -> Markup:
-    """Draw flights into panels below each other, with their names, and give the picture as an element."""
-    with drawn(width=8.0, height=height) as drawing:
+def _shown(
+    caption: str, words: str, flights: Sequence[Replayed], draw: Callable[..., None], height: float, rows: int = 1
+) -> str:
+    """Draw flights into panels below each other, with their names, and give picture and caption as an element."""
+
+    def paint(drawing: Figure) -> None:
         panels = drawing.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         draw(panels if rows > 1 else panels[0], flights)
         drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=8)
-        image = io.BytesIO()
-        drawing.savefig(image, format="png", dpi=100)
-    return embedded(image.getvalue(), words)
+
+    element = picture(paint, words, height=height)
+    return f"<figure>{element}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
 def viewer(name: str) -> str:
     """Give a file of the bundled viewer: `replay.js`, `replay.css`, `manifest.json` or `LICENCES.txt`."""
     return (resources.files("keepout") / "data" / "replay" / name).read_text(encoding="utf-8")
-
-
-def _write(
-    path: Path, scene: Scene, *, title: str, words: Sequence[str], figures: Mapping[str, str], foot: Markup
-) -> None:
-    """Write a replay as one file that opens from a disk without a network.
-
-    Args:
-        path: the HTML file.
-        scene: what it shows.
-        title: of the page, plain text.
-        words: a paragraph each, plain text, shown with the figures.
-        foot: what it was made of, shown below the figures.
-        figures: what is shown where no script runs, and in print: by caption (plain text), an `img` or `svg` element.
-
-    """
-    told = json.dumps(scene.told | {"title": title}, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    paragraphs = "".join(f"<p>{html.escape(paragraph)}</p>" for paragraph in words)
-    pictures = "".join(
-        f"<figure>{element}<figcaption>{html.escape(caption)}</figcaption></figure>"
-        for caption, element in figures.items()
-    )
-    libraries = json.loads(viewer("manifest.json"))["libraries"]
-    licences = ", ".join(f"{entry['name']} {entry['version']} ({entry['licence']})" for entry in libraries)
-    write_whole(
-        path,
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>{viewer('replay.css')}</style>"
-        "<noscript><style>#replay{display:none}#figures{display:block!important}</style></noscript></head><body>"
-        '<main id="replay"></main>'
-        f'<section id="figures"><h1>{html.escape(title)}</h1>{paragraphs}{pictures}'
-        f"<p>Made by Keepout; the viewer holds {html.escape(licences)}.</p>{foot}</section>"
-        f'<script type="application/json" id="scene">{told}</script>'
-        f'<script type="text/plain" id="content">{scene.content}</script>'
-        f"<script>{viewer('replay.js')}</script></body></html>\n",
-    )

@@ -24,7 +24,7 @@ from keepout.core.mission.entries import SunEntry
 from keepout.core.mission.flight import allowed_speed
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.orbit import Orbit
-from keepout.core.motion.rotation import vvlh_axes
+from keepout.core.motion.rotation import vvlh_axes, without_jumps
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages import approach_drawn
 from keepout.flights.pages.drawn import drawn_body, drawn_surface
@@ -241,7 +241,7 @@ def _arrays(packing: Packing, flight: Replayed, rows: Int[np.ndarray, "shown"], 
 
 def to_vvlh(record: FlightRecord) -> Quaternions:
     """Rotations VVLH ← body as unit quaternions, scalar first, each on the side of the one before."""
-    return _continuous(Rotation.from_quat(record.attitude, scalar_first=True).inv())
+    return without_jumps(Rotation.from_quat(record.attitude, scalar_first=True).inv().as_quat(scalar_first=True))
 
 
 def to_inertial(record: FlightRecord, scenario: Scenario) -> Quaternions:
@@ -252,7 +252,7 @@ def to_inertial(record: FlightRecord, scenario: Scenario) -> Quaternions:
     else:
         axes = np.asarray(_on_states(record.target_orbit))
     body_from_vvlh = Rotation.from_quat(record.attitude, scalar_first=True)
-    return _continuous((body_from_vvlh * Rotation.from_matrix(axes)).inv())
+    return without_jumps((body_from_vvlh * Rotation.from_matrix(axes)).inv().as_quat(scalar_first=True))
 
 
 def toward_sun(record: FlightRecord, scenario: Scenario) -> Float[np.ndarray, "rows 3"]:
@@ -269,13 +269,6 @@ def _on_ellipse(orbit: Orbit, times: Float[Array, "rows"]) -> Float[Array, "rows
 @jax.jit
 def _on_states(states: Float[Array, "rows 6"]) -> Float[Array, "rows 3 3"]:
     return jax.vmap(lambda state: vvlh_axes(state[:3], state[3:]))(states)
-
-
-def _continuous(rotations: Rotation) -> Quaternions:
-    """Quaternions of one sign: the page blends each with the next."""
-    found = rotations.as_quat(scalar_first=True)
-    turned = np.sum(found[1:] * found[:-1], axis=1) < 0.0
-    return found * np.where(np.concatenate([[False], np.cumsum(turned) % 2 == 1]), -1.0, 1.0)[:, None]
 
 
 @dataclass(frozen=True)

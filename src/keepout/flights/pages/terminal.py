@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from keepout.core import progress as keepout_progress
-from keepout.flights.pages.head_and_foot import verdict_of
+from keepout.flights.pages.page import shown, verdict_of
 
 if TYPE_CHECKING:  # which compiles, and a terminal must be there at once
     from keepout.flights.campaign.run import Standing
@@ -90,8 +90,12 @@ def progress(title: str) -> Iterator[keepout_progress.Progress]:
     """Show how far the block is on standard error: a bar on a terminal, else a line every ten seconds; log it too."""
     console = Console(stderr=True)
     noted = _every(1.0, note, title)
-    if _heard.quiet or not console.is_terminal:
-        yield _both(keepout_progress.silent if _heard.quiet else _plain(console, title), noted)
+    if _heard.quiet:
+        yield noted
+        return
+    if not console.is_terminal:  # a line at most every ten seconds, so that logs stay short
+        show = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        yield _both(_every(10.0, show, title, time.monotonic()), noted)
         return
     columns = (
         SpinnerColumn(),
@@ -113,12 +117,6 @@ def _both(one: keepout_progress.Progress, other: keepout_progress.Progress) -> k
         other(fraction, message)
 
     return report
-
-
-def _plain(console: Console, title: str) -> keepout_progress.Progress:
-    """Give what prints a line at most every ten seconds, so that logs stay short."""
-    show = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
-    return _every(10.0, show, title, time.monotonic())
 
 
 def _every(
@@ -461,17 +459,3 @@ _TARGETS: Mapping[str, Column] = {
 def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """One row a built-in target."""
     return _table("Built-in targets", _TARGETS, rows, named=True)
-
-
-def shown(value: Any) -> str:
-    """Format a value for a person: four digits, yes or no, counts by name."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {shown(entry)}" for key, entry in value.items()) or "none"
-    if isinstance(value, list | tuple):
-        numbers = all(isinstance(entry, int | float) for entry in value)
-        return (", " if numbers else "\n").join(shown(entry) for entry in value) or "none"
-    return str(value)

@@ -14,8 +14,7 @@ from keepout.core.errors import ExchangeError, UsageError
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.pages.figures import drawn, logarithmic, looks
 from keepout.flights.pages.filmed import require_film
-from keepout.flights.pages.head_and_foot import Provenance, as_toml, verdict_of
-from keepout.flights.pages.page import Page
+from keepout.flights.pages.page import Page, Provenance, as_toml, verdict_of
 
 FREE = {"contact_verdict": "no", "minimum_clearance_m": 0.25, "start_certified": True, "guard": {"R": 1.0}}
 

@@ -1,19 +1,16 @@
-"""A campaign in memory: what became of every flight, and chosen quantities of each over time."""
+"""Case 3's campaign, in memory: what became of every flight, and chosen quantities of each over time."""
 
-import io
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from keepout.core.audit.audit import Audit
 from keepout.core.errors import ScenarioError
@@ -23,10 +20,9 @@ from keepout.core.geometry.target import Target
 from keepout.core.mission.build import prepare
 from keepout.core.mission.flight import AUDITED
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.surroundings import Surroundings, guard_numbers
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import has_way_out, room_to_start
 from keepout.core.progress import Progress, part_of, silent
-from keepout.core.whole_file import write_whole
 from keepout.flights.campaign.bands import SERIES, Columns, quantity
 from keepout.flights.campaign.dispersion import Run, design
 from keepout.flights.campaign.flying import Flown, fly_judged
@@ -50,16 +46,14 @@ class FlightSeries:
     """Chosen quantities of every flight at common times.
 
     Attributes:
-        time: s after the start: every `stride`-th control step, and the end.
+        time: s after the start: control steps at one distance, and the end.
         values: by name as in `SERIES`, (flights, samples) each, float32; not a number where a flight did not land, or
             had ended.
-        stride: control steps from sample to sample.
 
     """
 
     time: Float[np.ndarray, "samples"]
     values: dict[str, Float[np.ndarray, "flights samples"]]
-    stride: int
 
     @classmethod
     def empty(
@@ -78,7 +72,7 @@ class FlightSeries:
             raise ScenarioError(f"series: a stride of {stride} control steps; it must be at least 1")
         stride = stride or max(1, -(-flights * (steps + 1) * len(names) // MOST_NUMBERS))
         rows = np.append(np.arange(0, steps, stride), steps)
-        return cls(rows * period, {name: np.full((flights, len(rows)), np.nan, np.float32) for name in names}, stride)
+        return cls(rows * period, {name: np.full((flights, len(rows)), np.nan, np.float32) for name in names})
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -94,12 +88,6 @@ class FlightSeries:
         for name, kept in self.values.items():
             here = rows < log[SERIES[name][0]].shape[1]
             kept[np.ix_(places, here)] = quantity(name, log, rows[here], goals)
-
-    def save(self, path: Path) -> None:
-        """Write `time` and each quantity as an array of its name into an `.npz` file."""
-        stream = io.BytesIO()
-        np.savez_compressed(stream, allow_pickle=False, time=self.time, **self.values)
-        write_whole(path, stream.getvalue())
 
 
 @dataclass(frozen=True)
@@ -131,11 +119,6 @@ class FlownInMemory:
         """The runs that were flown."""
         return tuple(run for run in self.runs if run.mission is not None)
 
-    @property
-    def starts(self) -> Float[np.ndarray, "flights 3"]:
-        """Where the flights start, m, body frame."""
-        return np.stack([run.position for run in self.flights])
-
     @cached_property
     def outcome(self) -> FlightOutcome:
         """Outcomes, with one entry a flight."""
@@ -145,24 +128,6 @@ class FlownInMemory:
     def audits(self) -> tuple[Audit, ...]:
         """The verdicts on the exact mesh, one a flight."""
         return tuple(self.flown[run.number].audit for run in self.flights)
-
-    @property
-    def starts_certified(self) -> Bool[np.ndarray, "flights"] | None:
-        """Of each flight, whether the guard's theorem holds from its start; None without a guard."""
-        found = [self.flown[run.number].certified for run in self.flights]
-        return None if None in found else np.array(found, bool)
-
-    @property
-    def assumptions_broken(self) -> tuple[str, ...]:
-        """What is flown beyond what a scenario declares."""
-        missions = {id(run.mission): run.flown for run in self.flights}
-        return tuple(dict.fromkeys(text for mission in missions.values() for text in mission.assumptions_broken))
-
-    @property
-    def guard(self) -> dict[str, Any] | None:
-        """What the first flight's guard assumes and what follows, as numbers; None without a guard."""
-        guard = next((run.flown.guard for run in self.flights), None)
-        return None if guard is None else guard_numbers(guard, self.scenario)
 
     @cached_property
     def table(self) -> pa.Table:
@@ -176,8 +141,6 @@ class FlownInMemory:
             **summary(self.table, self.scenario),
             "starts_drawn_again": self.starts_drawn_again,
             "median_propellant_kg": finite(np.median, propellant),
-            "assumptions_broken": list(self.assumptions_broken),
-            "guard": self.guard,
             "seconds": self.seconds,
         }
 
@@ -194,13 +157,6 @@ class FlownInMemory:
         figures = [name for name in FIGURES if name != "propellant" or flown[name].null_count < len(flown)]
         arrays = {name: flown[name].to_numpy(zero_copy_only=False) for name in (*drawn, *figures)}
         return {name: array.astype(str) if array.dtype == object else array for name, array in arrays.items()}
-
-    def save(self, path: Path) -> None:
-        """Write one row a flight into a Parquet file, the scenario in its metadata."""
-        table = pa.table(self.columns()).replace_schema_metadata({"scenario": self.scenario.model_dump_json()})
-        stream = io.BytesIO()
-        pq.write_table(table, stream)
-        write_whole(path, stream.getvalue())
 
 
 @dataclass(frozen=True)

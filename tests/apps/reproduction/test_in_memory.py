@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from keepout.apps.reproduction import in_memory
+from keepout.apps.reproduction.in_memory import SERIES, FlightSeries, draw_starts
 from keepout.core.errors import ScenarioError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
-from keepout.flights.campaign import campaign
-from keepout.flights.campaign.campaign import SERIES, FlightSeries, draw_starts
 
 
 @pytest.fixture(scope="module")
@@ -89,9 +89,9 @@ def test_a_stride_keeps_the_end_and_flights_that_did_not_land_are_not_numbers():
 
 
 def test_many_flights_are_kept_at_a_stride(monkeypatch):
-    monkeypatch.setattr(campaign, "MOST_NUMBERS", 5 * 11 * 5 // 2)
+    monkeypatch.setattr(in_memory, "MOST_NUMBERS", 5 * 11 * 5 // 2)
     kept = keeper()
-    assert sum(values.size for values in kept.values.values()) <= campaign.MOST_NUMBERS
+    assert sum(values.size for values in kept.values.values()) <= in_memory.MOST_NUMBERS
 
 
 def test_what_cannot_be_kept_is_refused():
