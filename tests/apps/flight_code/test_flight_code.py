@@ -67,7 +67,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ({"orbit": {"j2": True}}, "orbit.j2"),
         ({"drag": {"density": 1e-12}}, "drag"),
-        ({"thrusters": {"layout": "six"}}, "thrusters.layout"),
         ({"navigation": {"suite": "far"}}, "navigation.suite"),
         ({"control": {"observer": "printed"}}, "control.observer"),
         ({"control": {"circulation": "switching"}}, "control.circulation"),
