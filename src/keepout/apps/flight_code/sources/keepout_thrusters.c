@@ -36,8 +36,8 @@ static void shares_of(const keepout_thrusters *thrusters, const double force[3],
     const int32_t groups = least_of(thrusters->groups, KEEPOUT_GROUPS);
     const int32_t count = least_of(thrusters->count, KEEPOUT_THRUSTERS);
     const int32_t best = best_point(thrusters, force);
-    double balanced[KEEPOUT_GROUPS]; /* a_g as far as its torques cancel, N */
-    double rest[KEEPOUT_GROUPS];     /* what is left of it, N */
+    double balanced[KEEPOUT_GROUPS] = {0.0}; /* a_g as far as its torques cancel, N */
+    double rest[KEEPOUT_GROUPS] = {0.0};     /* what is left of it, N */
     int32_t i;
     for (i = 0; i < groups; i++) {
         const double wanted = keepout_clip(keepout_dot(thrusters->slope[best][i], force) + thrusters->offset[best][i], 0.0,
@@ -89,12 +89,13 @@ void keepout_thrusters_fire(const keepout_thrusters *thrusters, keepout_thruster
     for (axis = 0; axis < 3; axis++) {
         force[axis] = keepout_clip(order->force[axis], -thrusters->force_limit, thrusters->force_limit);
     }
-    if (count > 0) {
-        shares_of(thrusters, force, share);
-    }
     for (i = 0; i < KEEPOUT_THRUSTERS; i++) {
+        share[i] = 0.0;
         order->pulse[i] = 0.0;
         order->on_time[i] = 0.0;
+    }
+    if (count > 0) {
+        shares_of(thrusters, force, share);
     }
     for (i = 0; i < count; i++) {
         const double pulse = pulse_of(thrusters, share[i], &memory->owed[i]);
