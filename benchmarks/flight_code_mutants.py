@@ -234,15 +234,19 @@ MUTANTS: dict[str, list[tuple[str, str, str]]] = {
             "keepout_dot(thrusters->price[i], force);",
         ),
         ("best point of the second half", "if (value > most) {", "if ((value > most) || (i == (points / 2))) {"),
-        ("first point for no number", "return numbers ? best : (points - 1);", "return best;"),
-        ("groups without their offset", "force) + thrusters->offset[best][i], 0.0,", "force), 0.0,"),
+        ("groups without their offset", "force) + thrusters->offset[best][i];", "force);"),
         (
             "a group beyond its force",
             "balanced[i] = keepout_minimum(wanted, thrusters->balanced[i]);",
             "balanced[i] = wanted;",
         ),
-        ("alone as paired", "(thrusters->alone[i] * rest[group])", "(thrusters->paired[i] * rest[group])"),
-        ("share beyond the period", "share[i] = keepout_minimum((", "share[i] = keepout_maximum(("),
+        ("alone as paired", "(thrusters->alone[number] * rest[group])", "(thrusters->paired[number] * rest[group])"),
+        ("last of equal points", "if (value > most) {", "if (value >= most) {"),
+        (
+            "share beyond the period",
+            "return keepout_minimum((thrusters->paired",
+            "return keepout_maximum((thrusters->paired",
+        ),
         ("what is owed not asked for", "(thrusters->period * share) + *owed;", "(thrusters->period * share);"),
         (
             "half of the least on-time",
@@ -271,6 +275,7 @@ MUTANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
 }
 EQUIVALENT = {
+    "last of equal points": "where two points are equally good the forces are the same",
     "Kepler's correction": "the second of the two corrections makes up for what the first one lacks",
     "brick from node 0 on": "the window then begins at node 8 of the brick before, which is the same one",
     "Kepler's first guess": "two corrections of fourth order bring any guess nearby to the last digits",

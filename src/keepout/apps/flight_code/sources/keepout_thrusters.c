@@ -9,46 +9,46 @@ static int32_t least_of(int32_t count, int32_t room)
     return (count < room) ? count : room;
 }
 
-/* The point of the list at which lambda . u - fee is largest: the first of several, the last point where a value is not
- * a number. In Python: on_off._largest. */
+/* The point of the list at which lambda . u - fee is largest, the first of several. Of a force that is not a number all
+ * shares are none, whatever the point. In Python: on_off._largest. */
 static int32_t best_point(const keepout_thrusters *thrusters, const double force[3])
 {
     const int32_t points = least_of(thrusters->points, KEEPOUT_POINTS);
     double most = -HUGE_VAL;
     int32_t best = 0;
-    bool numbers = true;
     int32_t i;
     for (i = 0; i < points; i++) {
         const double value = keepout_dot(thrusters->price[i], force) - thrusters->fee[i];
-        numbers = numbers && !keepout_is_nan(value);
         if (value > most) {
             most = value;
             best = i;
         }
     }
-    return numbers ? best : (points - 1);
+    return best;
 }
 
-/* Of each thruster the share of the period, 0 to 1, for which it is to be on for a mean force (N). In Python:
- * Allocation.shares. */
-static void shares_of(const keepout_thrusters *thrusters, const double force[3], double share[KEEPOUT_THRUSTERS])
+/* Forces of the groups for a mean force (N): as far as their torques cancel, and what is left of them. In Python:
+ * Allocation.shares, up to the thrusters of a group. */
+static void groups_of(const keepout_thrusters *thrusters, const double force[3], double balanced[KEEPOUT_GROUPS],
+                      double rest[KEEPOUT_GROUPS])
 {
     const int32_t groups = least_of(thrusters->groups, KEEPOUT_GROUPS);
-    const int32_t count = least_of(thrusters->count, KEEPOUT_THRUSTERS);
     const int32_t best = best_point(thrusters, force);
-    double balanced[KEEPOUT_GROUPS] = {0.0}; /* a_g as far as its torques cancel, N */
-    double rest[KEEPOUT_GROUPS] = {0.0};     /* what is left of it, N */
     int32_t i;
     for (i = 0; i < groups; i++) {
-        const double wanted = keepout_clip(keepout_dot(thrusters->slope[best][i], force) + thrusters->offset[best][i], 0.0,
-                                           thrusters->largest[i]);
+        const double asked = keepout_dot(thrusters->slope[best][i], force) + thrusters->offset[best][i];
+        const double wanted = keepout_clip(asked, 0.0, thrusters->largest[i]);
         balanced[i] = keepout_minimum(wanted, thrusters->balanced[i]);
         rest[i] = wanted - balanced[i];
     }
-    for (i = 0; i < count; i++) {
-        const int32_t group = thrusters->group[i];
-        share[i] = keepout_minimum((thrusters->paired[i] * balanced[group]) + (thrusters->alone[i] * rest[group]), 1.0);
-    }
+}
+
+/* Share of the period, 0 to 1, for which a thruster is to be on. In Python: Allocation.shares. */
+static double share_of(const keepout_thrusters *thrusters, int32_t number, const double balanced[KEEPOUT_GROUPS],
+                       const double rest[KEEPOUT_GROUPS])
+{
+    const int32_t group = thrusters->group[number];
+    return keepout_minimum((thrusters->paired[number] * balanced[group]) + (thrusters->alone[number] * rest[group]), 1.0);
 }
 
 /* In Python: OnOffThrusters.initial_state, of thrusters that push as they should. */
@@ -80,7 +80,8 @@ void keepout_thrusters_fire(const keepout_thrusters *thrusters, keepout_thruster
 {
     const int32_t count = least_of(thrusters->count, KEEPOUT_THRUSTERS);
     const double T = thrusters->period;
-    double share[KEEPOUT_THRUSTERS];
+    double balanced[KEEPOUT_GROUPS] = {0.0};
+    double rest[KEEPOUT_GROUPS] = {0.0};
     double force[3];
     double tails[3] = {0.0, 0.0, 0.0}; /* N s, of pulses of the period before */
     double given[3] = {0.0, 0.0, 0.0}; /* N s, of the coming ones */
@@ -90,15 +91,12 @@ void keepout_thrusters_fire(const keepout_thrusters *thrusters, keepout_thruster
         force[axis] = keepout_clip(order->force[axis], -thrusters->force_limit, thrusters->force_limit);
     }
     for (i = 0; i < KEEPOUT_THRUSTERS; i++) {
-        share[i] = 0.0;
         order->pulse[i] = 0.0;
         order->on_time[i] = 0.0;
     }
-    if (count > 0) {
-        shares_of(thrusters, force, share);
-    }
+    groups_of(thrusters, force, balanced, rest);
     for (i = 0; i < count; i++) {
-        const double pulse = pulse_of(thrusters, share[i], &memory->owed[i]);
+        const double pulse = pulse_of(thrusters, share_of(thrusters, i, balanced, rest), &memory->owed[i]);
         const double tail = memory->tail[i];
         const double begin = (0.5 * (T - pulse)) + thrusters->rise_delay;
         const double end = begin + pulse;
