@@ -1,11 +1,12 @@
 """The evidence for the exported C: what was asked, what was reached, each part by itself.
 
 python benchmarks/flight_code.py                              # every part, a few minutes a mission
-python benchmarks/flight_code.py answers --steps 72000 --directed 72000 --missions 14 --kept out/flight-code
+python benchmarks/flight_code.py answers --steps 72000 --directed 72000 --missions 17 --kept out/flight-code
 python benchmarks/flight_code.py fuzz --fuzz 10000000 --kept out/flight-code --out benchmarks/results/flight_code.json
 
-`answers` compares with Python (`flight_code_states`, `flight_code_directed`) and leaves the folders of the missions in
-`--kept`, with stored steps; the other parts take them from there. A tool that is not there is named, its part skipped.
+`answers` compares with Python (`flight_code_states`, `flight_code_directed`, `flight_code_thrusters`) and leaves the
+folders of the missions in `--kept`, with stored steps; the other parts take them from there. A tool that is not there
+is named, its part skipped.
 With `--out` what each part has reached is put into a file, from which docs/results.md is written.
 """
 

@@ -233,5 +233,5 @@ def test_sources_name_functions_that_there_are():
     """Each comment that names a Python file names one that is there."""
     root = Path(keepout.__file__).parent
     for name, content in sources().items():
-        for path in re.findall(r"\b((?:core|control|guard|fields|motion|apps)/[a-z_/]+\.py)", content.decode()):
+        for path in re.findall(r"\b((?:core|control|guard|fields|flights|motion|apps)/[a-z_/]+\.py)", content.decode()):
             assert (root / path).is_file() or (root / "core" / path).is_file(), f"{name}: {path}"

@@ -80,8 +80,8 @@ void keepout_thrusters_fire(const keepout_thrusters *thrusters, keepout_thruster
 {
     const int32_t count = least_of(thrusters->count, KEEPOUT_THRUSTERS);
     const double T = thrusters->period;
-    double balanced[KEEPOUT_GROUPS] = {0.0};
-    double rest[KEEPOUT_GROUPS] = {0.0};
+    double balanced[KEEPOUT_GROUPS];
+    double rest[KEEPOUT_GROUPS];
     double force[3];
     double tails[3] = {0.0, 0.0, 0.0}; /* N s, of pulses of the period before */
     double given[3] = {0.0, 0.0, 0.0}; /* N s, of the coming ones */
@@ -93,6 +93,10 @@ void keepout_thrusters_fire(const keepout_thrusters *thrusters, keepout_thruster
     for (i = 0; i < KEEPOUT_THRUSTERS; i++) {
         order->pulse[i] = 0.0;
         order->on_time[i] = 0.0;
+    }
+    for (i = 0; i < KEEPOUT_GROUPS; i++) {
+        balanced[i] = 0.0;
+        rest[i] = 0.0;
     }
     groups_of(thrusters, force, balanced, rest);
     for (i = 0; i < count; i++) {
