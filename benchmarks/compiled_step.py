@@ -12,6 +12,7 @@ import numpy as np
 
 from keepout.apps.flight_code.missions import Coded, sizes_of
 from keepout.core.control.law import AheadOfDelay
+from keepout.flights.thrusters.on_off import ThrusterMemory
 
 HARNESS = Path(__file__).parent / "flight_code_harness" / "harness.c"
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
@@ -25,18 +26,21 @@ ESTIMATE = np.dtype(
     ],
     align=True,
 )
-ORDER = np.dtype(
-    [
-        *[
-            (name, "f8", 3)
-            for name in ("force", "commanded_force", "desired_velocity", "safe_velocity", "disturbance_estimate")
+
+
+def order_type(made: Coded) -> np.dtype:
+    """Give the record that `keepout_order` is for a mission."""
+    vectors = ("force", "commanded_force", "desired_velocity", "safe_velocity", "disturbance_estimate")
+    return np.dtype(
+        [
+            *[(name, "f8", 3) for name in vectors],
+            *[(name, "f8") for name in ("barrier", "backstepping_barrier", "lyapunov")],
+            *[(name, "i4") for name in ("control_status", "guard_status")],
+            ("mean_force", "f8", 3),
+            *[(name, "f8", sizes_of(made)["THRUSTERS"]) for name in ("pulse", "on_time")],
         ],
-        *[(name, "f8") for name in ("barrier", "backstepping_barrier", "lyapunov")],
-        ("control_status", "i4"),
-        ("guard_status", "i4"),
-    ],
-    align=True,
-)
+        align=True,
+    )
 
 
 def memory_type(made: Coded) -> np.dtype:
@@ -66,11 +70,12 @@ def memory_type(made: Coded) -> np.dtype:
         ],
         align=True,
     )
-    return np.dtype([("law", law), ("guard", guard)], align=True)
+    thrusters = np.dtype([(name, "f8", sizes["THRUSTERS"]) for name in ("owed", "tail")], align=True)
+    return np.dtype([("law", law), ("guard", guard), ("thrusters", thrusters)], align=True)
 
 
-def memories_of(made: Coded, law: Any, guard: Any) -> np.ndarray:
-    """Give memories of Python's law and guard, with a leading axis, as records."""
+def memories_of(made: Coded, law: Any, guard: Any, thrusters: Any = ()) -> np.ndarray:
+    """Give memories of Python's law, guard and thrusters, with a leading axis, as records."""
     delay = made.mission.scenario.guard.delay
     pending = None
     if isinstance(made.mission.setup.controller, AheadOfDelay):
@@ -81,6 +86,8 @@ def memories_of(made: Coded, law: Any, guard: Any) -> np.ndarray:
         memory["law"][name] = getattr(law, name)
     model = np.asarray(law.observer).reshape(count, 3, -1)
     memory["law"]["model"][:, :, : model.shape[2]] = model
+    if isinstance(thrusters, ThrusterMemory):
+        memory["thrusters"]["owed"], memory["thrusters"]["tail"] = thrusters.owed, thrusters.tail
     if pending is not None:
         memory["law"]["pending"][:, :delay] = pending
     if made.mission.guard is None:
@@ -156,7 +163,7 @@ class CompiledStep:
 
     def step(self, memory: np.ndarray, estimate: np.ndarray) -> np.ndarray:
         """Run a step of each; the memories are changed in place."""
-        order = np.zeros(len(estimate), ORDER)
+        order = np.zeros(len(estimate), order_type(self.made))
         self._library.harness_step(
             len(estimate), self._at(memory), self._at(np.ascontiguousarray(estimate)), self._at(order)
         )
@@ -172,6 +179,13 @@ class CompiledStep:
             len(estimate), self._at(memory), *map(self._at, given), self._at(filtered), self._at(status)
         )
         return filtered, status
+
+    def fire(self, memory: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Give forces (n, 3), N, to the thrusters alone; the memories are changed in place."""
+        order = np.zeros(len(force), order_type(self.made))
+        given = np.ascontiguousarray(force, np.float64)
+        self._library.harness_fire(len(force), self._at(memory), self._at(given), self._at(order))
+        return order
 
     def fields(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Give the values of the guard's field and of the law's at points (n, 3), m."""
@@ -191,6 +205,10 @@ class CompiledStep:
         end = np.ascontiguousarray(estimate)
         self._library.harness_fly(len(end), self._at(end), self._at(np.ascontiguousarray(push, np.float64)), steps)
         return end
+
+    def move(self, estimate: np.ndarray, force: np.ndarray) -> None:
+        """Move states a control period on, in place, under forces (n, 3) that are held, N."""
+        self._library.harness_move(len(estimate), self._at(estimate), self._at(np.ascontiguousarray(force, np.float64)))
 
     @staticmethod
     def _at(array: np.ndarray | None) -> Any:

@@ -1,11 +1,12 @@
 """The evidence for the exported C: what was asked, what was reached, each part by itself.
 
 python benchmarks/flight_code.py                              # every part, a few minutes a mission
-python benchmarks/flight_code.py answers --steps 72000 --directed 72000 --missions 14 --kept out/flight-code
+python benchmarks/flight_code.py answers --steps 72000 --directed 72000 --missions 17 --kept out/flight-code
 python benchmarks/flight_code.py fuzz --fuzz 10000000 --kept out/flight-code --out benchmarks/results/flight_code.json
 
-`answers` compares with Python (`flight_code_states`, `flight_code_directed`) and leaves the folders of the missions in
-`--kept`, with stored steps; the other parts take them from there. A tool that is not there is named, its part skipped.
+`answers` compares with Python (`flight_code_states`, `flight_code_directed`, `flight_code_thrusters`) and leaves the
+folders of the missions in `--kept`, with stored steps; the other parts take them from there. A tool that is not there
+is named, its part skipped.
 With `--out` what each part has reached is put into a file, from which docs/results.md is written.
 """
 
@@ -23,11 +24,14 @@ from typing import Any
 import flight_code_checks as checks
 import flight_code_mutants as mutants
 import flight_code_stored as stored
+import flight_code_thrusters as thrusters
 from flight_code_directed import Directed
 from flight_code_missions import MISSIONS, exported, folder_of
-from flight_code_states import CLOSED, FLIGHTS, Flights, closed_loops, compared
+from flight_code_states import CLOSED, FLIGHTS, TOGETHER, Flights, closed_loops, compared, pulsed_loops
 
-QUICK = ("errors of the estimate", "strong, errors and delay", "law by the spline")
+from keepout.flights.thrusters.on_off import OnOffThrusters
+
+QUICK = ("errors of the estimate", "strong, errors and delay", "law by the spline", "24 thrusters, late, owed")
 """The missions of a run that names no number of them."""
 
 ROW = "compared.json"
@@ -68,6 +72,12 @@ def answers(options: argparse.Namespace) -> Rows:
         f"memory {memory:.1e}; statuses differ on {close} thresholds, on {far} of them further than 1e-12 away"
     )
     rows.append(_row("guard states on thresholds", "10⁶ in four modes: statuses equal, ≤ 1e-12", reached))
+    if pulsed := [row for row in missions if "forces" in row]:
+        forces, close, far = (sum(row[key] for row in pulsed) for key in ("forces", "pulses on it", "pulses off it"))
+        given, memory = (max(row[key] for row in pulsed) for key in ("pulses", "pulses' memory"))
+        reached = f"{forces:,} over {len(pulsed)} layouts: force and on-times {given:.1e}, memory {memory:.1e}; "
+        reached += f"other thrusters fire on {close} thresholds, in {far} cases elsewhere"
+        rows.append(_row("forces for thrusters of a layout", "the same thrusters fire, ≤ 1e-12", reached))
     rows[0]["missions"] = missions
     return rows
 
@@ -82,6 +92,11 @@ def _compared(name: str, options: argparse.Namespace) -> dict[str, Any]:
     row: dict[str, Any] = {"mission": name, "steps": random.steps, "statuses that differ": random.differ}
     row |= {"force": random.force, "memory": random.memory, "most in": random.worst}
     row |= {"steps beyond 1e-11": random.beyond, "times a last bit": random.share}
+    if isinstance(flown.made.mission.setup.thrusters, OnOffThrusters):
+        forces = thrusters.compared(flown, options.directed)
+        records += forces.records
+        row |= {"forces": forces.forces, "pulses on it": forces.on_it, "pulses off it": forces.beside}
+        row |= {"pulses": forces.given, "pulses' memory": forces.memory}
     if flown.made.mission.guard is not None:
         pieces = Directed(flown, random.kept, max(96, options.directed // 100))
         found = pieces.compare(options.directed)
@@ -96,12 +111,25 @@ def _compared(name: str, options: argparse.Namespace) -> dict[str, Any]:
 
 def loops(options: argparse.Namespace, folders: list[Path]) -> Rows:
     """Fly closed loops of the first missions, each code its own."""
-    ends = []
-    for name in [name for name in MISSIONS if folder_of(name, options.kept) in folders][: options.loops]:
+    ends, pulsed, rows = [], [], []
+    there = [name for name in MISSIONS if folder_of(name, options.kept) in folders]
+    layouts = [name for name in there if MISSIONS[name].get("thrusters", {}).get("layout", "ideal") != "ideal"]
+    for name in [name for name in there if name not in layouts][: options.loops]:
         flown = exported(name, options.kept)
         ends.append(closed_loops(flown, Flights(flown.made)))
-    reached = f"{len(ends) * FLIGHTS} flights, missions: {len(ends)}, {CLOSED} steps: {max(ends):.1e} m"
-    return [_row("closed loops, each its own", "20 missions, 3,000 steps: ≤ 1e-10 m", reached)]
+    for name in layouts[: options.loops]:
+        flown = exported(name, options.kept)
+        pulsed.append(pulsed_loops(flown, Flights(flown.made), CLOSED))
+    if ends:
+        reached = f"{len(ends) * FLIGHTS} flights, missions: {len(ends)}, {CLOSED} steps: {max(ends):.1e} m"
+        rows.append(_row("closed loops, each its own", "20 missions, 3,000 steps: ≤ 1e-10 m", reached))
+    if pulsed:
+        asked = f"{TOGETHER} steps: ≤ 1e-10 m; then as near as Python to itself from a last bit beside"
+        reached = f"{len(pulsed) * FLIGHTS} flights, missions: {len(pulsed)}, {TOGETHER} steps: "
+        reached += f"{max(early for early, _, _ in pulsed):.1e} m; after {CLOSED}, in the median: "
+        reached += ", ".join(f"{by_c:.1e} m, Python {own:.1e} m" for _, by_c, own in pulsed)
+        rows.append(_row("closed loops by pulses, each its own", asked, reached))
+    return rows
 
 
 def _row(evidence: str, asked: str, reached: str) -> dict[str, Any]:
@@ -141,7 +169,7 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
     parser.add_argument("--steps", type=int, default=6400, help="random ones of each mission")
     parser.add_argument("--directed", type=int, default=10_000, help="states of each mission's guard")
-    parser.add_argument("--missions", type=int, default=0, help="how many; three quick ones if left out")
+    parser.add_argument("--missions", type=int, default=0, help="how many; four quick ones if left out")
     parser.add_argument("--loops", type=int, default=1, help="missions that are flown in closed loops")
     parser.add_argument("--fuzz", type=int, default=50_000, help="fuzzed steps")
     parser.add_argument("--fuzzed", type=int, default=3, help="missions that are fuzzed")

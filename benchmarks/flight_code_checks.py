@@ -121,7 +121,7 @@ def eva(options: argparse.Namespace, folders: list[Path]) -> Rows:
         return [row("Frama-C Eva", asked, "skipped: frama-c is not installed")]
     reached, alarms = [], 0
     # Missions that between them have most of the code come first.
-    first = [folder for part in ("strong", "gravity") for folder in folders if part in folder.name]
+    first = [folder for part in ("strong", "gravity", "24-thrusters") for folder in folders if part in folder.name]
     for folder in [*first, *[folder for folder in folders if folder not in first]][: options.eva]:
         # By whole paths: it takes others from where its caller is.
         files = [str((folder / name).resolve()) for name in refreshed(folder)]

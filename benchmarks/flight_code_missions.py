@@ -11,6 +11,22 @@ from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 
 TURNING = {"kind": "tumbling", "angular_velocity": (0.001, 0.002, 0.0005)}
+OWN = [
+    {"position": place, "direction": way, "force": force}
+    for place, way, force in (
+        ((-0.5, 0.3, 0.0), (1.0, 0.0, 0.0), 0.06),
+        ((-0.5, -0.2, 0.0), (1.0, 0.0, 0.0), 0.05),
+        ((0.5, 0.1, 0.0), (-1.0, 0.0, 0.0), 0.12),
+        ((0.0, -0.5, 0.0), (0.0, 1.0, 0.0), 0.11),
+        ((0.2, 0.5, 0.0), (0.0, -1.0, 0.0), 0.06),
+        ((-0.2, 0.5, 0.1), (0.0, -1.0, 0.0), 0.06),
+        ((0.0, 0.0, -0.5), (0.0, 0.0, 1.0), 0.11),
+        ((0.1, 0.0, 0.5), (0.0, 0.0, -1.0), 0.12),
+        ((-0.4, -0.4, 0.0), (1.0, 1.0, 0.0), 0.06),
+        ((0.4, -0.2, -0.4), (-1.0, 0.5, 1.0), 0.05),
+    )
+]
+"""Thrusters askew, in pairs of which some turn the chaser: groups that are full, and parts of them that come alone."""
 MISSIONS: dict[str, dict[str, Any]] = {
     "as it is": {},
     "delay": {"guard": {"delay": 2}},
@@ -40,6 +56,16 @@ MISSIONS: dict[str, dict[str, Any]] = {
     "no observer": {"control": {"observer": "off"}},
     "held inertially, 2 s": {"thrusters": {"held_in": "inertial"}, "control": {"period": 2.0}},
     "unguarded": {"guard": {"enabled": False}},
+    "12 thrusters": {"thrusters": {"layout": "12"}},
+    "24 thrusters, late, owed": {
+        "thrusters": {
+            **{"layout": "24", "modulation": "delta-sigma", "least_on_time": 0.04, "rise_delay": 0.004},
+            **{"misalignment": 0.01, "scale_error": 0.02},
+        },
+        "guard": {"delay": 1, "position_error": 0.03, "velocity_error": 0.001},
+        "chaser": {"mass": 100.0, "force_limit": 1.0},
+    },
+    "thrusters askew": {"thrusters": {"layout": "own", "own": OWN, "least_on_time": 0.05, "modulation": "delta-sigma"}},
 }
 
 

@@ -227,11 +227,55 @@ MUTANTS: dict[str, list[tuple[str, str, str]]] = {
         ),
         ("some parts left", "if (from.wrong || (from.parts != 0u) ||", "if (from.wrong ||"),
     ],
+    "keepout_thrusters.c": [
+        (
+            "fee forgotten",
+            "keepout_dot(thrusters->price[i], force) - thrusters->fee[i];",
+            "keepout_dot(thrusters->price[i], force);",
+        ),
+        ("best point of the second half", "if (value > most) {", "if ((value > most) || (i == (points / 2))) {"),
+        ("groups without their offset", "force) + thrusters->offset[best][i];", "force);"),
+        (
+            "a group beyond its force",
+            "balanced[i] = keepout_minimum(wanted, thrusters->balanced[i]);",
+            "balanced[i] = wanted;",
+        ),
+        ("alone as paired", "(thrusters->alone[number] * rest[group])", "(thrusters->paired[number] * rest[group])"),
+        ("last of equal points", "if (value > most) {", "if (value >= most) {"),
+        (
+            "share beyond the period",
+            "return keepout_minimum((thrusters->paired",
+            "return keepout_maximum((thrusters->paired",
+        ),
+        ("what is owed not asked for", "(thrusters->period * share) + *owed;", "(thrusters->period * share);"),
+        (
+            "half of the least on-time",
+            "(wanted <= (0.5 * thrusters->least_on_time))",
+            "(wanted <= (0.6 * thrusters->least_on_time))",
+        ),
+        (
+            "pulses as short as they are",
+            "keepout_clip(wanted, thrusters->least_on_time, thrusters->period);",
+            "keepout_clip(wanted, 0.0, thrusters->period);",
+        ),
+        ("owed with pulse-width too", "if (thrusters->delta_sigma) {", "if (true) {"),
+        ("owed the other way", "*owed = wanted - given;", "*owed = given - wanted;"),
+        ("pulse from the period's start", "(0.5 * (T - pulse)) + thrusters->rise_delay;", "thrusters->rise_delay;"),
+        ("tail not kept", "memory->tail[i] = keepout_maximum(end - T, 0.0);", "memory->tail[i] = 0.0;"),
+        ("mean force of what is fired now", "((tails[axis] + given[axis]) / T)", "(given[axis] / T)"),
+        (
+            "command beyond the limit",
+            "force[axis] = keepout_clip(order->force[axis], -thrusters->force_limit, thrusters->force_limit);",
+            "force[axis] = order->force[axis];",
+        ),
+    ],
     "keepout_step.c": [
+        ("thrusters not begun", "keepout_thrusters_begin(&memory->thrusters);", ""),
         ("law not told", "keepout_law_told(mission->law, &memory->law, order->force);", ""),
     ],
 }
 EQUIVALENT = {
+    "last of equal points": "where two points are equally good the forces are the same",
     "Kepler's correction": "the second of the two corrections makes up for what the first one lacks",
     "brick from node 0 on": "the window then begins at node 8 of the brick before, which is the same one",
     "Kepler's first guess": "two corrections of fourth order bring any guess nearby to the last digits",

@@ -14,8 +14,10 @@ import numpy as np
 from compiled_step import estimates_of, memories_of
 from flight_code_missions import Exported
 
+from keepout.apps.flight_code.folder import pulse_of
 from keepout.apps.flight_code.missions import Coded
 from keepout.core.flight import loop
+from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.disturbance import NoDisturbance
 
 FLIGHTS = 64
@@ -23,6 +25,8 @@ AGAIN = 150
 """Steps after which the random flights begin anew."""
 CLOSED = 3000
 """Steps of a closed loop."""
+TOGETHER = 40
+"""Steps of a closed loop by pulses for which rounding stays rounding."""
 ASKED = 1e-11
 """How near the numbers of a step should be, over their size and 1e-3 of their unit."""
 NUDGES = 16
@@ -39,21 +43,40 @@ def apart(a: Any, b: Any, least: float = 1e-3) -> float:
 def memories_apart(made: Coded, a: np.ndarray, b: np.ndarray, least: float = 1e-3) -> dict[str, float]:
     """Give how far parts of memories, records of C, are apart; what the mission does not use is left out."""
     guard = made.mission.setup.guard
-    parts = ["law"] if guard is None else ["law", "guard"]
+    parts = ["law", "thrusters"] if guard is None else ["law", "guard", "thrusters"]
     unused = () if guard is not None and guard.braking.observer is not None else ("seen_position", "seen_velocity")
     names = [(part, name) for part in parts for name in a[part].dtype.names or () if name not in unused]
     return {f"{part}.{name}": apart(a[part][name], b[part][name], least) for part, name in names}
 
 
 class Step(NamedTuple):
-    """A step of many random flights in Python: memories of law and guard before it and after it, and its answer."""
+    """A step of many random flights in Python: memories of law, guard and thrusters before it and after it, its answer.
+
+    `given` is the force, what the thrusters give of it in the mean (N), each one's pulse and its on-time (s).
+    """
 
     before: Any
     estimate: Any
     order: Any
-    force: np.ndarray
+    given: tuple[np.ndarray, ...]
     status: np.ndarray
     after: Any
+
+
+GIVEN = ("force", "mean_force", "pulse", "on_time")
+"""Of a step's answer, as `Step.given` has them."""
+
+
+def given_of(order: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Give the same of answers of C, records."""
+    return tuple(order[name] for name in GIVEN)
+
+
+def fired(thrusters: ThrusterModel, memory: Any, force: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Fire a force (N): the memory afterwards, and `GIVEN`."""
+    after, firing = thrusters.fire(memory, force)
+    on_time = jnp.zeros(1) if firing.on_time is None else firing.on_time
+    return after, (force, firing.force, pulse_of(thrusters, firing), on_time)
 
 
 class Flights:
@@ -62,14 +85,19 @@ class Flights:
     def __init__(self, made: Coded) -> None:
         """Take the mission as the code flies it."""
         setup = made.mission.setup
-        self.made, self.begin = made, jax.jit(jax.vmap(lambda estimate: loop.memories(setup, estimate)))
+        begun = setup.thrusters.initial_state(jax.random.key(0))
+        self.made = made
+        self.begin = jax.jit(jax.vmap(lambda estimate: (*loop.memories(setup, estimate), begun)))
 
         @jax.jit
         @jax.vmap
         def step(memory: Any, estimate: Any, truth: Any, push: Any) -> Any:
+            *memory, thrusters = memory
             law, guard, order, force, status = loop.command(setup, *memory, estimate)
-            moved = setup.motion.step(truth, force + push, NoDisturbance(), setup.period, setup.mass)
-            return (law, guard), (force, order, status), moved
+            thrusters, given = fired(setup.thrusters, thrusters, force)
+            # The code knows no world: of pulses their mean force moves it.
+            moved = setup.motion.step(truth, given[1] + push, NoDisturbance(), setup.period, setup.mass)
+            return (law, guard, thrusters), (given, order, status), moved
 
         self.step = step
 
@@ -90,20 +118,31 @@ class Flights:
                 state = self.scattered(rng)
                 memory = self.begin(state)
             estimate, before = told(state, rng), memory
-            memory, (force, order, status), state = self.step(memory, estimate, state, none)
-            yield Step(before, estimate, order, np.asarray(force), np.asarray(status), memory)
+            memory, (given, order, status), state = self.step(memory, estimate, state, none)
+            yield Step(before, estimate, order, tuple(map(np.asarray, given)), np.asarray(status), memory)
 
     def closed(self, rng: np.random.Generator) -> tuple[Any, np.ndarray, Any]:
         """Fly whole flights, told the truth, under constant forces: where they begin, the forces (N), their ends."""
+        start, pushes = self.begun(rng)
+        flown = self.under(start, pushes)
+        for _ in range(CLOSED):
+            state = next(flown)
+        return start, pushes, state
+
+    def begun(self, rng: np.random.Generator) -> tuple[Any, np.ndarray]:
+        """Give states at which whole flights begin, and a constant force for each, N."""
         initial = self.made.mission.initial
         start = jax.tree.map(lambda a: jnp.broadcast_to(a, (FLIGHTS, *jnp.shape(a))), initial)
         moved = np.asarray(start.position) + rng.uniform(-1.0, 1.0, (FLIGHTS, 3))
         start = dataclasses.replace(start, position=jnp.asarray(moved))
-        pushes = rng.uniform(-0.002, 0.002, (FLIGHTS, 3))
-        state, memory = start, self.begin(start)
-        for _ in range(CLOSED):
+        return start, rng.uniform(-0.002, 0.002, (FLIGHTS, 3))
+
+    def under(self, state: Any, pushes: np.ndarray) -> Iterator[Any]:
+        """Fly under constant forces (N), told the truth: the states after each step."""
+        memory = self.begin(state)
+        while True:
             memory, _, state = self.step(memory, state, state, pushes)
-        return start, pushes, state
+            yield state
 
 
 def told(state: Any, rng: np.random.Generator) -> Any:
@@ -122,7 +161,7 @@ class Compared(NamedTuple):
     Attributes:
         steps: how many.
         differ: statuses that differ.
-        force: largest difference of a force, over its size and 1e-3 N.
+        force: largest difference of a force, over its size and 1e-3 N, and of an on-time, over its size and 1e-3 s.
         memory: likewise of a memory's parts.
         worst: the part of the memory that differs most.
         beyond: steps of which a number differs by more than `ASKED`.
@@ -150,13 +189,14 @@ def compared(flown: Exported, flights: Flights, steps: int, keep: int = 16) -> C
         held, estimate = given.copy(), estimates_of(row.estimate)
         order = flown.code.step(held, estimate)
         wrong = (order["guard_status"] != row.status) | (order["control_status"] != np.asarray(row.order.status))
-        force, parts = apart(order["force"], row.force), memories_apart(made, held, after)
+        force, parts = _given_apart(given_of(order), row.given), memories_apart(made, held, after)
         worst = max(parts, key=lambda name: parts[name])
         beyond, share = total.beyond, total.share
         if max(force, parts[worst]) > ASKED:
             for flight in range(len(wrong)):
                 one = slice(flight, flight + 1)
-                far = _far(made, (order["force"][one], held[one]), (row.force[one], after[one]))
+                by_c, by_python = (tuple(part[one] for part in parts) for parts in (given_of(order), row.given))
+                far = _far(made, (by_c, held[one]), (by_python, after[one]))
                 if far > ASKED and not wrong[flight]:
                     beyond += 1
                     share = max(share, far / max(_nudged(flown, given[one], estimate[one]), 1e-16))
@@ -173,25 +213,33 @@ def compared(flown: Exported, flights: Flights, steps: int, keep: int = 16) -> C
     return total
 
 
-def _far(made: Coded, a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> float:
-    return max(apart(a[0], b[0]), *memories_apart(made, a[1], b[1]).values())
+def _given_apart(a: tuple[np.ndarray, ...], b: tuple[np.ndarray, ...]) -> float:
+    return max(apart(x, y) for x, y in zip(a, b, strict=True))
+
+
+Ended = tuple[tuple[np.ndarray, ...], np.ndarray]
+"""What a step gives, and its memory afterwards."""
+
+
+def _far(made: Coded, a: Ended, b: Ended) -> float:
+    return max(_given_apart(a[0], b[0]), *memories_apart(made, a[1], b[1]).values())
 
 
 def _nudged(flown: Exported, memory: np.ndarray, estimate: np.ndarray) -> float:
     """Give the largest difference that a last bit more or less of every input makes to a step of the C code."""
     rng, most = np.random.default_rng(6), 0.0
     held = memory.copy()
-    plain = flown.code.step(held, estimate)["force"]
+    plain = given_of(flown.code.step(held, estimate))
     for _ in range(NUDGES):
         near, told = memory.copy(), estimate.copy()
-        for record in (near["law"], near["guard"], told):
+        for record in (near["law"], near["guard"], near["thrusters"], told):
             for name in record.dtype.names or ():
                 if record.dtype[name].base == np.float64:
                     bits = rng.integers(-1, 2, np.shape(record[name]))
                     with np.errstate(invalid="ignore", over="ignore"):
                         record[name] += np.nan_to_num(bits * np.spacing(np.abs(record[name])), posinf=0.0)
-        force = flown.code.step(near, told)["force"]
-        most = max(most, _far(flown.made, (force, near), (plain, held)))
+        given = given_of(flown.code.step(near, told))
+        most = max(most, _far(flown.made, (given, near), (plain, held)))
     return most
 
 
@@ -202,9 +250,34 @@ def closed_loops(flown: Exported, flights: Flights) -> float:
     return float(np.abs(flown_by_c["position"] - np.asarray(end.position)).max())
 
 
+def pulsed_loops(flown: Exported, flights: Flights, steps: int) -> tuple[float, float, float]:
+    """Fly whole flights by pulses, by both codes and by Python from a last bit beside: how far apart they are, m.
+
+    Below its least on-time a thruster does nothing, so that law and motion are parted there, and rounding grows as any
+    difference does: by the first pulse that one fires and the other does not, flights are different ones. So Python is
+    the measure of itself.
+
+    Returns:
+        Of `TOGETHER` steps the largest distance from Python; of all steps the median distances, of the C code from
+        Python and of Python from itself.
+
+    """
+    start, pushes = flights.begun(np.random.default_rng(2))
+    beside = dataclasses.replace(start, position=np.nextafter(np.asarray(start.position), np.inf))
+    state = estimates_of(start)
+    memory = flown.code.begin(state)
+    early, together = 0.0, zip(flights.under(start, pushes), flights.under(beside, pushes), strict=True)
+    for number, (by_python, by_itself) in zip(range(steps), together, strict=False):
+        flown.code.move(state, flown.code.step(memory, state)["mean_force"] + pushes)
+        truth = np.asarray(by_python.position)
+        by_c, own = (np.linalg.norm(place - truth, axis=1) for place in (state["position"], by_itself.position))
+        early = max(early, float(by_c.max())) if number < TOGETHER else early
+    return early, float(np.median(by_c)), float(np.median(own))
+
+
 def gathered(kept: list[Step], rows: int) -> tuple[Any, Any, Any, np.ndarray, np.ndarray]:
     """Gather states of random flights: memories of law and guard, estimates, the law's forces and disturbances (N)."""
-    picked = [(*row.before, row.estimate, row.order.force, row.order.disturbance_estimate) for row in kept]
+    picked = [(*row.before[:2], row.estimate, row.order.force, row.order.disturbance_estimate) for row in kept]
     whole = jax.tree.map(lambda *parts: np.concatenate([np.asarray(part) for part in parts]), *picked)
     some = np.random.default_rng(4).choice(len(whole[3]), min(rows, len(whole[3])), replace=False)
     return jax.tree.map(lambda array: array[some], whole)

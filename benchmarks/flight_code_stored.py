@@ -7,12 +7,12 @@ import jax
 import numpy as np
 from compiled_step import ESTIMATE, estimates_of, memories_of, memory_type
 from flight_code_missions import Exported
-from flight_code_states import Step
+from flight_code_states import GIVEN, Step
 
-from keepout.apps.flight_code.missions import Coded
+from keepout.apps.flight_code.missions import Coded, sizes_of
 from keepout.core.flight import loop
 
-STEP, OF_GUARD, BEGINNING = 0, 1, 2
+STEP, OF_GUARD, BEGINNING, OF_THRUSTERS = 0, 1, 2, 3
 NAME, FIELDS = "steps.bin", "fields.bin"
 PLACES = 2000
 
@@ -22,8 +22,10 @@ def stored_type(made: Coded) -> np.dtype:
     memory = memory_type(made)
     return np.dtype(
         [
-            *[(name, "i4") for name in ("of_guard", "control_status", "guard_status", "spare")],
-            *[(name, "f8", 3) for name in ("force", "commanded", "disturbance")],
+            *[(name, "i4") for name in ("kind", "control_status", "guard_status", "spare")],
+            *[(name, "f8", 3) for name in ("force", "mean_force")],
+            *[(name, "f8", sizes_of(made)["THRUSTERS"]) for name in ("pulse", "on_time")],
+            *[(name, "f8", 3) for name in ("commanded", "disturbance")],
             ("under_way", "f8", (8, 3)),
             ("estimate", ESTIMATE),
             ("before", memory),
@@ -35,10 +37,12 @@ def stored_type(made: Coded) -> np.dtype:
 
 def of_step(made: Coded, row: Step) -> np.ndarray:
     """Give records of a step of flights."""
-    records = np.zeros(len(row.force), stored_type(made))
-    records["of_guard"] = STEP
+    records = np.zeros(len(row.status), stored_type(made))
+    records["kind"] = STEP
     records["control_status"], records["guard_status"] = np.asarray(row.order.status), row.status
-    records["force"], records["estimate"] = row.force, estimates_of(row.estimate)
+    for name, part in zip(GIVEN, row.given, strict=True):
+        records[name] = part
+    records["estimate"] = estimates_of(row.estimate)
     records["before"], records["after"] = memories_of(made, *row.before), memories_of(made, *row.after)
     return records
 
@@ -47,10 +51,19 @@ def of_guard(made: Coded, law: Any, state: Any, answer: tuple[Any, np.ndarray, n
     """Give records of states of the guard (`flight_code_directed.State`) and its answers: memory, force, status."""
     records = np.zeros(len(state.force), stored_type(made))
     memory, force, status = answer
-    records["of_guard"] = OF_GUARD
+    records["kind"] = OF_GUARD
     records["guard_status"], records["force"], records["commanded"] = status, force, state.force
     records["disturbance"], records["estimate"] = state.disturbance, estimates_of(state.estimate)
     records["before"], records["after"] = memories_of(made, law, state.guard), memories_of(made, law, memory)
+    return records
+
+
+def of_thrusters(made: Coded, before: np.ndarray, given: tuple[np.ndarray, ...], after: np.ndarray) -> np.ndarray:
+    """Give records of forces that the thrusters alone were given: memories, records themselves, and `GIVEN`."""
+    records = np.zeros(len(before), stored_type(made))
+    records["kind"], records["before"], records["after"] = OF_THRUSTERS, before, after
+    for name, part in zip(GIVEN, given, strict=True):
+        records[name] = part
     return records
 
 
@@ -60,8 +73,10 @@ def of_beginnings(made: Coded, states: Any) -> np.ndarray:
     sent = np.random.default_rng(5).uniform(-0.05, 0.05, (count, 8, 3))
     records = np.zeros(count, stored_type(made))
     begin = jax.jit(jax.vmap(lambda estimate, forces: loop.memories(setup, estimate, under_way=forces)))
-    records["of_guard"], records["under_way"], records["estimate"] = BEGINNING, sent, estimates_of(states)
+    records["kind"], records["under_way"], records["estimate"] = BEGINNING, sent, estimates_of(states)
     records["after"] = memories_of(made, *begin(states, sent))
+    for name in ("owed", "tail"):
+        records["before"]["thrusters"][name] = 1.0  # of another flight
     return records
 
 

@@ -48,7 +48,7 @@ int main(void)
         keepout_begin(&mission, &memory, &estimate, either() ? (const double(*)[3])under_way : NULL);
         forget();
         keepout_step(&mission, &memory, &estimate, &order);
-        keepout_move(mission.motion, &estimate, order.force, mission.law->period, mission.law->mass);
+        keepout_move(mission.motion, &estimate, order.mean_force, mission.law->period, mission.law->mass);
     }
     return 0;
 }

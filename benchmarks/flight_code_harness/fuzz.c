@@ -87,8 +87,10 @@ static void turn_a_bit(keepout_memory *memory)
 {
     double *places[] = {memory->law.velocity,           memory->law.drift,          memory->guard.plan_position,
                         memory->guard.plan_velocity,    memory->guard.unexplained[0], memory->guard.seen_position,
-                        memory->guard.expected_velocity, memory->guard.doubts};
-    double *at = &places[next() % 8u][next() % 2u];
+                        memory->guard.expected_velocity, memory->guard.doubts,
+                        memory->thrusters.owed,          memory->thrusters.tail};
+    const size_t place = (size_t)(next() % 10u);
+    double *at = &places[place][next() % ((place < 8u) ? 2u : (uint64_t)KEEPOUT_THRUSTERS)];
     uint64_t bits;
     memcpy(&bits, at, sizeof bits);
     bits ^= (uint64_t)1u << (next() % 64u);
@@ -140,7 +142,7 @@ int main(int count, char **words)
             turn_a_bit(&memory);
         }
         keepout_step(&mission, &memory, &told, &order);
-        keepout_move(mission.motion, &truth, order.force, mission.law->period, mission.law->mass);
+        keepout_move(mission.motion, &truth, order.mean_force, mission.law->period, mission.law->mass);
     }
     free(under_way);
     (void)printf("%ld steps\n", steps);

@@ -39,6 +39,16 @@ void harness_guard(int count, keepout_memory *memory, const keepout_estimate *es
     }
 }
 
+/* Forces (N) for the thrusters alone. */
+void harness_fire(int count, keepout_memory *memory, const double (*force)[3], keepout_order *order)
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        keepout_copy(force[i], order[i].force);
+        keepout_thrusters_fire(mission.thrusters, &memory[i].thrusters, &order[i]);
+    }
+}
+
 /* Values of the guard's field and of the law's, (count) each. */
 void harness_fields(int count, const double (*point)[3], double *guard, double *law)
 {
@@ -51,6 +61,15 @@ void harness_fields(int count, const double (*point)[3], double *guard, double *
         law[i] = (mission.law->field == KEEPOUT_NETWORK)
                      ? keepout_network_value_and_gradient(mission.network, point[i], gradient)
                      : keepout_spline_value(mission.law_spline, point[i], &cell);
+    }
+}
+
+/* A control period on under a force (N) that is held. */
+void harness_move(int count, keepout_estimate *state, const double (*force)[3])
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        keepout_move(mission.motion, &state[i], force[i], mission.law->period, mission.law->mass);
     }
 }
 
@@ -67,7 +86,7 @@ void harness_fly(int count, keepout_estimate *state, const double (*push)[3], in
             int axis;
             keepout_step(&mission, &memory, &state[i], &order);
             for (axis = 0; axis < 3; axis++) {
-                force[axis] = order.force[axis] + push[i][axis];
+                force[axis] = order.mean_force[axis] + push[i][axis];
             }
             keepout_move(mission.motion, &state[i], force, mission.law->period, mission.law->mass);
         }

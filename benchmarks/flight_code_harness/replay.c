@@ -15,11 +15,15 @@
 #define OWN 2e-14 /* of the functions of keepout_math.c */
 
 typedef struct {
-    int32_t of_guard; /* 1: a state of the guard alone, 0: a whole step, 2: a beginning with forces under way */
+    int32_t kind; /* 0: a whole step, 1: a state of the guard alone, 2: a beginning with forces under way, 3: a force for
+                   * the thrusters alone */
     int32_t control_status;
     int32_t guard_status;
     int32_t spare;
-    double force[3]; /* answered; of a beginning none */
+    double force[3]; /* answered; of a beginning none, of thrusters what they are told */
+    double mean_force[3]; /* answered, of a whole step and of thrusters; likewise the two below */
+    double pulse[KEEPOUT_THRUSTERS];
+    double on_time[KEEPOUT_THRUSTERS];
     double commanded[3];
     double disturbance[3];
     double under_way[KEEPOUT_MOST_DELAY][3];
@@ -77,16 +81,33 @@ static int guard_differs(const keepout_mission *mission, const keepout_guard_mem
            || (a->certified != b->certified) || (a->begun != b->begun) || (a->left_out != b->left_out);
 }
 
+static int thrusters_differ(const stored_step *step, const keepout_order *order)
+{
+    return FAR(order->mean_force, step->mean_force) || FAR(order->pulse, step->pulse)
+           || FAR(order->on_time, step->on_time);
+}
+
+static int owed_differs(const stored_step *step)
+{
+    return FAR(step->before.thrusters.owed, step->after.thrusters.owed)
+           || FAR(step->before.thrusters.tail, step->after.thrusters.tail);
+}
+
 static int answers_otherwise(const keepout_mission *mission, stored_step *step)
 {
     keepout_order order;
     int wrong;
     memset(&order, 0, sizeof order);
-    if (step->of_guard == 1) {
+    if (step->kind == 3) {
+        keepout_copy(step->force, order.force);
+        keepout_thrusters_fire(mission->thrusters, &step->before.thrusters, &order);
+        return thrusters_differ(step, &order) || owed_differs(step);
+    }
+    if (step->kind == 1) {
         order.guard_status = keepout_guard_filter(mission, &step->before.guard, &step->estimate, step->commanded,
                                                   step->disturbance, order.force);
         order.control_status = step->control_status;
-    } else if (step->of_guard == 2) {
+    } else if (step->kind == 2) {
         keepout_begin(mission, &step->before, &step->estimate, (const double(*)[3])step->under_way);
         order.guard_status = step->guard_status;
         order.control_status = step->control_status;
@@ -95,8 +116,11 @@ static int answers_otherwise(const keepout_mission *mission, stored_step *step)
     }
     wrong = FAR(order.force, step->force) || (order.guard_status != step->guard_status)
             || (order.control_status != step->control_status);
-    if (step->of_guard != 1) {
-        wrong = wrong || law_differs(mission, &step->before.law, &step->after.law);
+    if (step->kind == 0) {
+        wrong = wrong || thrusters_differ(step, &order);
+    }
+    if (step->kind != 1) {
+        wrong = wrong || owed_differs(step) || law_differs(mission, &step->before.law, &step->after.law);
     }
     if (mission->guard->present) {
         wrong = wrong || guard_differs(mission, &step->before.guard, &step->after.guard);

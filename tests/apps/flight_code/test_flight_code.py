@@ -67,7 +67,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ({"orbit": {"j2": True}}, "orbit.j2"),
         ({"drag": {"density": 1e-12}}, "drag"),
-        ({"thrusters": {"layout": "six"}}, "thrusters.layout"),
         ({"navigation": {"suite": "far"}}, "navigation.suite"),
         ({"control": {"observer": "printed"}}, "control.observer"),
         ({"control": {"circulation": "switching"}}, "control.circulation"),
@@ -234,5 +233,5 @@ def test_sources_name_functions_that_there_are():
     """Each comment that names a Python file names one that is there."""
     root = Path(keepout.__file__).parent
     for name, content in sources().items():
-        for path in re.findall(r"\b((?:core|control|guard|fields|motion|apps)/[a-z_/]+\.py)", content.decode()):
+        for path in re.findall(r"\b((?:core|control|guard|fields|flights|motion|apps)/[a-z_/]+\.py)", content.decode()):
             assert (root / path).is_file() or (root / "core" / path).is_file(), f"{name}: {path}"

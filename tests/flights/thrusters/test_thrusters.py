@@ -1,5 +1,7 @@
 """Layouts, what they can give, which thrusters fire, and the bounds on what pulses do wrong."""
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -54,6 +56,18 @@ def test_the_allocation_is_the_linear_program(layout, seed):
         np.testing.assert_allclose(found @ layout.pushes(), force, atol=1e-9)
         least = least_propellant(layout, force)
         assert found @ layout.force <= least * (1.0 + 1e-6) + 1e-12
+
+
+@pytest.mark.parametrize("ones", [2, 3])
+def test_directions_of_which_four_lie_in_a_plane_give_the_force_asked_for(ones):
+    """To a cube's corners, or its edges: then the planes of four groups met in a point, and forces were cut off."""
+    corners = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
+    corners = corners[np.abs(corners).sum(axis=1) == ones]
+    layout = Layout(-0.5 * corners, corners, np.full(len(corners), LIMIT))
+    limit, allocation = force_box(layout), Allocation.of(layout)
+    for force in np.random.default_rng(0).uniform(-limit, limit, (200, 3)):
+        found = np.asarray(shares(allocation, jnp.asarray(force)))
+        np.testing.assert_allclose(found @ layout.pushes(), force, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", PRESETS)

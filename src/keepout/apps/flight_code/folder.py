@@ -9,11 +9,12 @@ import struct
 import zlib
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from keepout.apps.flight_code.missions import Coded, coded, directions_of, numbers_of, require_entries, sizes_of
 from keepout.apps.flight_code.spline_tables import SplineTables
@@ -24,10 +25,12 @@ from keepout.core.fields.field import values
 from keepout.core.fields.neural import NeuralField
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario, ScenarioLike
+from keepout.core.motion.chaser import Firing, ThrusterModel
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place, write_whole
 from keepout.flights.on_board import OnBoard, Order
+from keepout.flights.thrusters.on_off import OnOffThrusters
 
 FORMAT = 1
 """Of the image; as KEEPOUT_FORMAT in sources/keepout.h."""
@@ -79,7 +82,7 @@ def tables_text(made: Coded, digest: int) -> str:
     network = isinstance(field, NeuralField)
     if network:
         lines += _network(field)
-    for name in ("motion", "law", "guard"):
+    for name in ("motion", "law", "guard", "thrusters"):
         lines += [f"static const keepout_{name} {name} = {{", *_members(numbers[name]), "};", ""]
     lines += ["const keepout_tables keepout_mission_layout = {", "    .guidance = {"]
     lines += ["    " + line for line in _members(numbers["guidance"])] + ["    },"]
@@ -97,6 +100,7 @@ def tables_text(made: Coded, digest: int) -> str:
         "    mission->motion = &motion;",
         "    mission->law = &law;",
         "    mission->guard = &guard;",
+        "    mission->thrusters = &thrusters;",
         "    mission->guidance = &tables->guidance;",
         f"    mission->network = {'&network' if network else 'NULL'};",
         f"    mission->law_spline = &tables->{own};",
@@ -270,7 +274,33 @@ def _network_bytes(made: Coded) -> int:
     return 0 if layers is None else sum(4 * np.size(array) for array in jax.tree.leaves(layers))
 
 
-def stored_steps(made: Coded) -> tuple[list[MotionState], list[Order]]:
+class Answer(NamedTuple):
+    """What a step answers in Python: of `keepout_order` all in its order.
+
+    Attributes:
+        order: law's and guard's.
+        mean_force: of what is fired, N, body axes.
+        pulse: of each thruster, s; one of 0 s without a layout.
+        on_time: likewise.
+
+    """
+
+    order: Order
+    mean_force: np.ndarray
+    pulse: np.ndarray
+    on_time: np.ndarray
+
+
+def pulse_of(thrusters: ThrusterModel, firing: Firing) -> Float[Array, " thrusters"]:
+    """Give how long each thruster is commanded to be on, s: what a firing tells of it is late."""
+    if not isinstance(thrusters, OnOffThrusters):
+        return jnp.zeros(1)
+    assert firing.pulses is not None
+    begin = firing.pulses.begin[len(thrusters.push) :]
+    return thrusters.period - 2.0 * (begin - thrusters.rise_delay)
+
+
+def stored_steps(made: Coded) -> tuple[list[MotionState], list[Answer]]:
     """Fly steps in Python as the code flies them: what each is told, and what it answers.
 
     They begin half a minute before the flight is nearest to the target. Estimates are wrong within what the guard is
@@ -280,18 +310,25 @@ def stored_steps(made: Coded) -> tuple[list[MotionState], list[Order]]:
     board = OnBoard(setup, mission.initial)
 
     @jax.jit
-    def moved(state: MotionState, force: Any) -> MotionState:
-        return setup.motion.step(state, force, setup.disturbance, setup.period, setup.mass)
+    def moved(state: MotionState, memory: Any, force: Any) -> tuple[MotionState, Any, list[Array]]:
+        memory, firing = setup.thrusters.fire(memory, force)
+        on_time = jnp.zeros(1) if firing.on_time is None else firing.on_time
+        fired = [firing.force, pulse_of(setup.thrusters, firing), on_time]
+        period, mass = setup.period, setup.mass
+        return setup.motion.step(state, firing.force, setup.disturbance, period, mass, firing.pulses), memory, fired
 
     def stepped(estimate: MotionState) -> Any:
         parts = (estimate.position, estimate.velocity, estimate.attitude, estimate.angular_velocity)
         return board.step(float(estimate.time), *(np.asarray(part) for part in parts))
 
+    begun = memory = setup.thrusters.initial_state(jax.random.key(0))
     for _ in range(mission.steps):
-        states.append(moved(states[-1], stepped(states[-1])))
+        state, memory, _fired = moved(states[-1], memory, stepped(states[-1]))
+        states.append(state)
     away = values(made.law.velocity.field, np.array([state.position for state in states]))
     state = states[max(int(np.argmin(away)) - STEPS // 2, 0)]
     board.restart(state, under_way=[])
+    memory = begun
     rng, told, answered = np.random.default_rng(0), [], []
     entry = mission.scenario.guard
     for number in range(STEPS):
@@ -302,8 +339,8 @@ def stored_steps(made: Coded) -> tuple[list[MotionState], list[Order]]:
             estimate = dataclasses.replace(estimate, position=jnp.full(3, jnp.nan))
         force = stepped(estimate)
         told.append(jax.tree.map(np.asarray, estimate))
-        answered.append(board.order)
-        state = moved(state, force)
+        state, memory, fired = moved(state, memory, force)
+        answered.append(Answer(board.order, *map(np.asarray, fired)))
     return told, answered
 
 
@@ -323,7 +360,7 @@ def _selftest(made: Coded) -> bytes:
         *[f"    {_estimate(state)}," for state in told],
         "};",
         f"static const keepout_order selftest_orders[{STEPS}] = {{",
-        *[f"    {{{', '.join(value_text(part) for part in order)}}}," for order in answered],
+        *[f"    {{{', '.join(value_text(part) for part in (*order, *fired))}}}," for order, *fired in answered],
         "};",
     )
 
@@ -344,7 +381,8 @@ def _estimate(state: MotionState) -> str:
 
 def _readme(made: Coded, image: int, text: str) -> str:
     """Fill what differs by mission into the sources' README."""
-    guard, scenario = made.mission.guard, made.mission.scenario
+    guard, scenario, thrusters = made.mission.guard, made.mission.scenario, made.mission.setup.thrusters
+    layout = thrusters if isinstance(thrusters, OnOffThrusters) else None
     told = {
         "MISSION": scenario.name,
         "IMAGE_BYTES": f"{image:,}",
@@ -356,6 +394,8 @@ def _readme(made: Coded, image: int, text: str) -> str:
         "EVALUATION_ERROR": "none" if guard is None else f"{1e3 * guard.evaluation_error:.3f} mm",
         "CERTIFIED": {True: "is", False: "is not", None: "has no guard, and so is not"}[made.mission.start_certified],
         "PERIOD": f"{scenario.control.period:g} s",
+        "THRUSTERS": f"{len(layout.push)} thrusters and their allocation" if layout else "ideal thrusters",
+        "DONE_WITH_IT": "fire `order.pulse`, each in the middle of the time" if layout else "hold `order.force`",
     }
     for name, value in told.items():
         text = text.replace(f"@{name}@", value)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from keepout.apps.flight_code.rounding import Rounding, of_network, of_spline, reach_of, with_rounding
+from keepout.apps.flight_code.rounding import Rounding, of_network, of_pulses, of_spline, reach_of, with_rounding
 from keepout.apps.flight_code.spline_tables import SplineTables, packed
 from keepout.core.control.controller import Controller
 from keepout.core.control.geodesic import GeodesicGuidance
@@ -27,16 +27,20 @@ from keepout.core.mission.build import Mission
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
+from keepout.core.motion.chaser import Thrusters
+from keepout.flights.thrusters.on_off import OnOffThrusters
 
 MOST_LAYERS, MOST_WIDTH = 10, 512
 """Of a learned field that the code has room for on its stack."""
+MOST_POINTS = 256
+"""Of an allocation: those of 12 directions, the most that there are, take about 100 kB of the mission's constants."""
 
 
 class Coded(NamedTuple):
     """A mission for the code.
 
     Attributes:
-        mission: as the code flies it, in double and by the packed field.
+        mission: as the code flies it, in double, by the packed field and with thrusters that push as they should.
         law: its law, without the layer that looks ahead of a delay.
         guard_tables: the guard's field, packed; None without a guard.
         law_tables: likewise the law's, where it flies by a spline of its own; None where it shares the guard's.
@@ -64,7 +68,7 @@ def coded(mission: Mission) -> Coded:
     if refused := _refused(mission):
         raise ExchangeError(f"--to c: {refused}")
     setup, guard, tables, error = mission.setup, mission.guard, None, 0.0
-    law = _law(mission)
+    law, thrusters = _law(mission), _thrusters(mission)
     field = law.velocity.field
     if guard is not None:
         assert isinstance(guard.field, GridField)
@@ -73,7 +77,7 @@ def coded(mission: Mission) -> Coded:
         field = held if shared else field
         assumed = jax.tree.map(float, guard.assumptions)  # a setup's are arrays
         guard = Guard(held, guard.threshold, guard.lipschitz, assumed, guard.evaluation_error + error)
-        guard, rounded, force = with_rounding(guard)
+        guard, rounded, force = with_rounding(guard, 0.0 if isinstance(thrusters, Thrusters) else of_pulses(thrusters))
     else:
         shared, rounded, force = False, 0.0, 0.0
     law_tables = None
@@ -89,7 +93,7 @@ def coded(mission: Mission) -> Coded:
     start_certified = mission.start_certified
     if guard is not None:
         start_certified = require_flyable(guard, mission.initial, law.goal) and not mission.assumptions_broken
-    setup = dataclasses.replace(setup, controller=flown, guard=guard, field=field)
+    setup = dataclasses.replace(setup, controller=flown, guard=guard, field=field, thrusters=thrusters)
     made = dataclasses.replace(mission, setup=setup, start_certified=start_certified)
     return Coded(made, law, tables, law_tables, error, Rounding(rounded, _law_rounding(field, guard), force))
 
@@ -105,6 +109,14 @@ def _law(mission: Mission) -> Controller:
     law = outer.law if isinstance(outer, AheadOfDelay) else outer
     assert isinstance(law, Controller)
     return law
+
+
+def _thrusters(mission: Mission) -> Thrusters | OnOffThrusters:
+    """Give the thrusters that the scenario asks for, without the errors that a flight draws: no code can know them."""
+    if mission.scenario.thrusters.layout == "ideal":
+        return Thrusters(mission.scenario.chaser.force_limit)
+    assert isinstance(mission.setup.thrusters, OnOffThrusters)
+    return dataclasses.replace(mission.setup.thrusters, misalignment=0.0, scale_error=0.0)
 
 
 def require_entries(scenario: Scenario) -> None:
@@ -129,8 +141,10 @@ def require_entries(scenario: Scenario) -> None:
         refused = 'control.observer is "printed"; the flight code has "harmonic", "constant" and "off"'
     elif scenario.faults.law != "none":
         refused = f'faults.law is "{scenario.faults.law}"; the flight code has the law as it is: "none" is valid'
-    elif scenario.thrusters.layout != "ideal":
-        refused = f'thrusters.layout is "{scenario.thrusters.layout}"; the flight code gives a force: "ideal" is valid'
+    elif scenario.thrusters.survive_failure:
+        refused = "thrusters.survive_failure is true; the flight code fires a layout whose thrusters all work"
+    elif scenario.faults.thruster is not None:
+        refused = "faults.thruster is given; the flight code fires a layout whose thrusters all work: leave it out"
     elif scenario.navigation.suite != "none":
         refused = f'navigation.suite is "{scenario.navigation.suite}"; the flight code is told a state: "none" is valid'
     elif motion.perturbations:
@@ -154,6 +168,8 @@ def _refused(mission: Mission) -> str | None:
         ("the law's observer", law.observer, (SampledObserver, NoObserver)),
         ("the attitude", mission.setup.motion.attitude_motion, (VVLHFixed, InertiallyFixed, Tumbling)),
     ]
+    if mission.scenario.thrusters.layout != "ideal":
+        parts += [("the layout's thrusters", mission.setup.thrusters, (OnOffThrusters,))]
     if mission.setup.guard is not None:
         parts += [("the guard", mission.setup.guard, (Guard,))]
     if mission.guard is not None:
@@ -167,6 +183,10 @@ def _refused(mission: Mission) -> str | None:
         return "the guidance is one of several legs; the flight code flies to one goal"
     if isinstance(law.observer, SampledObserver) and not _by_axis(law.observer):
         return "the law's observer mixes the axes; the flight code has one model for each axis alike"
+    if isinstance(mission.setup.thrusters, OnOffThrusters):
+        points, groups = mission.setup.thrusters.allocation.offset.shape
+        if points > MOST_POINTS:
+            return f"thrusters.own: its {groups} directions have {points} points of allocation; {MOST_POINTS} fit"
     if isinstance(field, NeuralField):
         widths = [len(bias) for bias in field.layers.biases[:-1]]
         if len(widths) > MOST_LAYERS or max(widths) > MOST_WIDTH:
@@ -263,7 +283,29 @@ def numbers_of(made: Coded) -> dict[str, dict[str, Any]]:
         told["guidance"] |= {name: getattr(guidance, name) for name in ("origin", "spacing", "inner", "outer")}
         told["guidance"]["nodes"] = np.asarray(guidance.nodes).astype(int)
     told["guard"] = _guard_numbers(made.mission.guard)
+    told["thrusters"] = _thruster_numbers(made.mission)
     return told
+
+
+def _thruster_numbers(mission: Mission) -> dict[str, Any]:
+    thrusters = mission.setup.thrusters
+    numbers = {"count": 0, "force_limit": mission.scenario.chaser.force_limit, "period": mission.setup.period}
+    if not isinstance(thrusters, OnOffThrusters):
+        return numbers
+    allocation = thrusters.allocation
+    points, groups = allocation.offset.shape
+    return {
+        **numbers,
+        "count": len(thrusters.push),
+        "groups": groups,
+        "points": points,
+        **{name: getattr(thrusters, name) for name in ("delta_sigma", "least_on_time", "rise_delay", "push")},
+        "price": np.asarray(allocation.price).T,
+        **{
+            name: getattr(allocation, name)
+            for name in ("fee", "slope", "offset", "largest", "balanced", "group", "paired", "alone")
+        },
+    }
 
 
 def _guard_numbers(guard: Guard | None) -> dict[str, Any]:
@@ -305,11 +347,15 @@ def sizes_of(made: Coded) -> dict[str, int]:
     widths = [len(bias) for bias in field.layers.biases[:-1]] if isinstance(field, NeuralField) else [1]
     grids = [tables for tables in (made.guard_tables, made.law_tables) if tables is not None]
     model = numbers_of(made)["law"]["model"]
+    thrusters = _thruster_numbers(made.mission)
     return {
         "LAYERS": len(widths),
         "WIDTH": max(3, *widths),
-        "LEVELS": max([1 + len(tables.levels) for tables in grids], default=1),
+        # Two at least: a compiler that knows that there is but one warns of what is done with others.
+        "LEVELS": max([2, *(1 + len(tables.levels) for tables in grids)]),
         "DELAY": max(1, made.mission.scenario.guard.delay),
         "WINDOWS": 1 if guard is None else len(guard.windows),
         "MODEL": max(1, model),
+        **{name.upper(): thrusters.get(name, 1) for name in ("points", "groups")},
+        "THRUSTERS": max(1, thrusters["count"]),
     }

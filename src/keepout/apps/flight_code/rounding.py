@@ -15,6 +15,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.grid import STORED, GridField
@@ -22,6 +23,7 @@ from keepout.core.fields.neural import NeuralField
 from keepout.core.guard.braking import BrakingDesign
 from keepout.core.guard.guard import Guard, GuardAssumptions
 from keepout.core.proof.bounds import ELEMENTARY, UNIT64, Network, boxes, upper_bounds
+from keepout.flights.thrusters.on_off import Allocation, OnOffThrusters
 
 _BOXES = 12
 """Along each axis, into which a learned field's domain is cut."""
@@ -76,7 +78,8 @@ class Rounding(NamedTuple):
     Attributes:
         guard_field: to a value of the guard's field, as its tests compare it, m.
         law_field: to a value of the law's field, within its domain, m.
-        force: to the force of a step, or to the motion that it is planned to lead to, as a force, N.
+        force: to the force of a step, or to the motion that it is planned to lead to, as a force, N; with a layout to
+            the mean force of its pulses besides.
 
     """
 
@@ -190,11 +193,81 @@ def of_force(guard: Guard) -> float:
     return float(a.mass * (planned + feedback + given))
 
 
-def with_rounding(guard: Guard) -> tuple[Guard, float, float]:
-    """Count rounding in a guard by a spline: the guard, and what was added to its field (m) and force (N)."""
+def of_pulses(thrusters: OnOffThrusters) -> float:
+    """Bound what rounding does to the mean force that pulses are commanded to give for a force within reach, N.
+
+    The numbers of the tables are rounded too: what they miss of giving the force asked for is counted.
+
+    Near the least on-time rounding decides whether a pulse is fired. Both answers are wrong by no more than the half of
+    it that `thruster_errors` counts, and by what the on-time is rounded.
+    """
+    allocation, push = thrusters.allocation, np.asarray(thrusters.push)
+    limit, group = float(thrusters.force_limit.max()), np.asarray(allocation.group)
+    slope, offset, largest = (np.asarray(part) for part in (allocation.slope, allocation.offset, allocation.largest))
+    force = np.linalg.norm(push, axis=1)
+    directions = (push / force[:, None])[np.unique(group, return_index=True)[1]]
+    # Each part of a group's force: the product, two sums and the offset.
+    asked = np.abs(slope).sum(axis=2) * limit + np.abs(offset)
+    groups = 4.0 * UNIT64 * float(asked.sum(axis=1).max())
+    # A thruster's on-time, of no more than 1.5 periods with what is owed: what is left beside the balanced part, two
+    # products, a sum, the product with the period, the sum with what is owed, and that. Numbers of the table: one each.
+    on_times = 9.0 * 1.5 * UNIT64 * float(force.sum())
+    shares = [np.bincount(group, part * force) for part in np.asarray([allocation.paired, allocation.alone])]
+    used = [np.asarray(allocation.balanced), largest - np.asarray(allocation.balanced)]
+    missed = [float((np.abs(share - 1.0) * size).sum()) for share, size in zip(shares, used, strict=True)]
+    aside = float((np.linalg.norm(push - force[:, None] * directions[group], axis=1)).sum())
+    # What the groups' forces at a point are together beside the force asked for.
+    lost = np.abs(np.einsum("gi,pgj->pij", directions, slope) - np.eye(3)).sum(axis=2) * limit
+    lost += np.abs(offset @ directions)
+    tables = float(np.linalg.norm(lost, axis=1).max()) + sum(missed) + aside
+    return (groups + on_times + tables + _of_choice(allocation, directions, limit)) * (1.0 + 1e-6)
+
+
+def _of_choice(allocation: Allocation, directions: Float[np.ndarray, "groups 3"], limit: float) -> float:
+    """Bound the force that is cut off because rounding takes another point for the best one, N.
+
+    At a point whose value is the largest no group's force is beyond its limits: along the edge on which that group
+    leaves its plane there would be a larger one, by the force beyond times the edge's length. A point that rounding
+    takes is lower by at most twice what a value is rounded. An edge that meets no further plane is of forces out of
+    reach.
+    """
+    price, fee = np.asarray(allocation.price).T, np.asarray(allocation.fee)
+    slope, offset, largest = (np.asarray(part) for part in (allocation.slope, allocation.offset, allocation.largest))
+    # The product, two sums and the fee, of either of two values.
+    rounded = 2.0 * 4.0 * UNIT64 * float((np.abs(price).sum(axis=1) * limit + np.abs(fee)).max())
+    basic = np.any(slope != 0.0, axis=2)
+    height = price @ directions.T
+    height -= np.take_along_axis(height, np.argmax(basic, axis=0)[None], axis=0)
+    most = 0.0
+    for point, chosen in enumerate(basic):
+        cut, steps, dearer = 0.0, price - price[point], fee - fee[point]
+        for group in np.flatnonzero(chosen):
+            row, away = slope[point, group], offset[point, group]
+            for side, beyond in ((-1.0, -away), (1.0, away - largest[group])):
+                climb = side * (directions @ row)
+                if not np.any((climb * height[point] < 0.0) & (np.abs(climb) > 1e-12) & ~chosen):
+                    continue
+                length = side * (steps @ row) / (row @ row)
+                # The gain on the way to another point is the length times the force beyond, but for this.
+                apart = np.abs(steps - side * length[:, None] * row).sum(axis=1) * limit
+                apart += np.abs(dearer + length * beyond)
+                ahead = length > 0.0
+                cut += float(((rounded + apart[ahead]) / length[ahead]).min())
+        most = max(most, cut)
+    return most
+
+
+def with_rounding(guard: Guard, pulses: float) -> tuple[Guard, float, float]:
+    """Count rounding in a guard by a spline: the guard, and what was added to its field (m) and force (N).
+
+    Args:
+        guard: before.
+        pulses: what rounding does to the force that thrusters give for the guard's, N.
+
+    """
     assert isinstance(guard.field, GridField)
     own = of_spline(guard.field, reach_of(guard))
-    field, force = of_guard(guard, own), of_force(guard)
+    field, force = of_guard(guard, own), of_force(guard) + pulses
     a = guard.assumptions
     assumptions: GuardAssumptions = dataclasses.replace(a, force_error=a.force_error + force)
     error = guard.evaluation_error + field

@@ -48,6 +48,9 @@ _LANES = 64
 """Values that are compared at once."""
 _APART = 1e-7
 """Relative differences of the groups' costs, so that no four planes meet in a point."""
+_PRIMES = tuple(n for n in range(2, 132) if all(n % k for k in range(2, n)))
+"""One for each of the groups that there may be. Their square roots are in no rational relation, so that none of the
+directions (four corners of a cube's face, say) makes four of the costs meet all the same."""
 
 
 class Allocation(eqx.Module):
@@ -144,7 +147,7 @@ def _triples(directions: Float[np.ndarray, "groups 3"], largest: Float[np.ndarra
 
 def _point(directions: np.ndarray, largest: np.ndarray, chosen: list[int]) -> tuple[np.ndarray, ...]:
     """Give λ, the fee, and slope and offset of the groups' forces, where the planes of three groups meet."""
-    cost = 1.0 + _APART * np.modf(np.sqrt(2.0) * np.arange(1, len(directions) + 1))[0]
+    cost = 1.0 + _APART * np.modf(np.sqrt(_PRIMES[: len(directions)]))[0]
     price = np.linalg.solve(directions[chosen], cost[chosen])
     excess = directions @ price - cost
     excess[chosen] = 0.0

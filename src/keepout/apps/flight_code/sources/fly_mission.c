@@ -1,6 +1,6 @@
 /* Fly the mission in closed loop: `fly_mission tables.bin SECONDS > flight.csv`.
  *
- * The true motion is the model of the flight code, without a disturbance. Not for flight: it reads and writes files. */
+ * The true motion is the model of the flight code, without a disturbance; of pulses it takes their mean force. Not for flight: it reads and writes files. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -35,7 +35,7 @@ int main(int count, char **words)
                      state.position[0], state.position[1], state.position[2], state.velocity[0], state.velocity[1],
                      state.velocity[2], order.force[0], order.force[1], order.force[2], order.barrier,
                      (int)order.control_status, (int)order.guard_status);
-        keepout_move(mission.motion, &state, order.force, mission.law->period, mission.law->mass);
+        keepout_move(mission.motion, &state, order.mean_force, mission.law->period, mission.law->mass);
     }
     free(image);
     return 0;

@@ -1,4 +1,4 @@
-/* Keepout on board: one control step of law and guard, in C99.
+/* Keepout on board: one control step of law, guard and thrusters, in C99.
  *
  * Call keepout_begin once, then keepout_step once a control period. Nothing is allocated, nothing recurses, nothing is
  * global, and every loop is bounded by a constant below. All numbers are SI units; positions and velocities are those
@@ -27,7 +27,8 @@
 
 /* Of the mission, from mission_sizes.h: KEEPOUT_LAYERS hidden layers of a learned field, KEEPOUT_WIDTH neurons in the
  * widest, KEEPOUT_LEVELS of a spline, KEEPOUT_DELAY commands kept, KEEPOUT_WINDOWS over which the guard watches its
- * assumptions, KEEPOUT_MODEL numbers an axis in the disturbance observer; each at least 1. */
+ * assumptions, KEEPOUT_MODEL numbers an axis in the disturbance observer, KEEPOUT_THRUSTERS of a layout in
+ * KEEPOUT_GROUPS of one direction, KEEPOUT_POINTS of its allocation; each at least 1. */
 
 /* What a control step is told. */
 typedef struct {
@@ -50,6 +51,9 @@ typedef struct {
     double lyapunov;            /* V_1, m2 */
     int32_t control_status;     /* a KEEPOUT_LAW_* */
     int32_t guard_status;       /* a KEEPOUT_GUARD_* plus KEEPOUT_FLAG_* bits; 0 without a guard */
+    double mean_force[3];       /* what the thrusters are to give in the mean, N; without a layout the force, held */
+    double pulse[KEEPOUT_THRUSTERS]; /* how long to command each thruster open, in the middle of the period, s */
+    double on_time[KEEPOUT_THRUSTERS]; /* how long each is open in the period, s: it opens and closes late */
 } keepout_order;
 
 /* In Python: control/law.py, ControlStatus. */
@@ -219,17 +223,41 @@ typedef struct {
     double plan_radius;      /* m */
 } keepout_guard;
 
+/* Thrusters that are on or off, and the allocation of a force to them: the list of points at which the linear program of
+ * least propellant can be solved. In Python: flights/thrusters/on_off.py, OnOffThrusters and Allocation. */
+typedef struct {
+    int32_t count;          /* 0: no layout; a force is held */
+    int32_t groups;         /* of thrusters with one direction */
+    int32_t points;
+    bool delta_sigma;       /* whether what a pulse gives too much or too little is made up for later */
+    double force_limit;     /* an axis, N */
+    double period;          /* s */
+    double least_on_time;   /* s */
+    double rise_delay;      /* by which a pulse begins and ends late, s */
+    double price[KEEPOUT_POINTS][3]; /* lambda */
+    double fee[KEEPOUT_POINTS];      /* N */
+    double slope[KEEPOUT_POINTS][KEEPOUT_GROUPS][3]; /* of the groups' forces by the force asked for */
+    double offset[KEEPOUT_POINTS][KEEPOUT_GROUPS];   /* of the groups' forces, N */
+    double largest[KEEPOUT_GROUPS];  /* F_g, N */
+    double balanced[KEEPOUT_GROUPS]; /* as much of it as comes without torque, N */
+    int32_t group[KEEPOUT_THRUSTERS];
+    double paired[KEEPOUT_THRUSTERS]; /* share of the period for each newton of its group up to `balanced`, 1/N */
+    double alone[KEEPOUT_THRUSTERS];  /* the same beyond it */
+    double push[KEEPOUT_THRUSTERS][3]; /* N */
+} keepout_thrusters;
+
 typedef struct {
     const keepout_motion *motion;
     const keepout_law *law;
     const keepout_guard *guard;
+    const keepout_thrusters *thrusters;
     const keepout_guidance *guidance;
     const keepout_network *network; /* of the law, where its field is one */
     const keepout_spline *law_spline; /* likewise */
     const keepout_spline *guard_spline;
 } keepout_mission;
 
-/* What law and guard remember. Set by keepout_begin; its contents are Keepout's own. */
+/* What law, guard and thrusters remember. Set by keepout_begin; its contents are Keepout's own. */
 typedef struct {
     double velocity[3];
     double drift[3];
@@ -258,8 +286,14 @@ typedef struct {
 } keepout_guard_memory;
 
 typedef struct {
+    double owed[KEEPOUT_THRUSTERS]; /* on-time that was asked for and not given, s; of delta-sigma */
+    double tail[KEEPOUT_THRUSTERS]; /* for which a thruster is still open in the coming period, s */
+} keepout_thruster_memory;
+
+typedef struct {
     keepout_law_memory law;
     keepout_guard_memory guard;
+    keepout_thruster_memory thrusters;
 } keepout_memory;
 
 /* Begin: law and guard from an estimate of the motion now. `under_way` are the forces (N) commanded before that have
@@ -268,7 +302,8 @@ void keepout_begin(const keepout_mission *mission, keepout_memory *memory, const
                    const double (*under_way)[3]);
 
 /* Run one control step. Numbers of the estimate that are not finite are answered as in Python: the law commands no
- * force, the guard follows its plan blind. */
+ * force, the guard follows its plan blind. With a layout of thrusters fire each pulse in the middle of the period, in the
+ * place of `order->force`; do not open a thruster whose pulse is not a number. */
 void keepout_step(const keepout_mission *mission, keepout_memory *memory, const keepout_estimate *estimate,
                   keepout_order *order);
 

@@ -70,4 +70,8 @@ int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memor
                              const keepout_estimate *estimate, const double force[3],
                              const double disturbance_estimate[3], double filtered[3]);
 
+/* keepout_thrusters.c */
+void keepout_thrusters_begin(keepout_thruster_memory *memory);
+void keepout_thrusters_fire(const keepout_thrusters *thrusters, keepout_thruster_memory *memory, keepout_order *order);
+
 #endif

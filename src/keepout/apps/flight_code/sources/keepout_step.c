@@ -1,4 +1,5 @@
-/* One control step: the law, then the guard. In Python: core/flight/loop.py, `memories` and `command`. */
+/* One control step: the law, then the guard, then the thrusters. In Python: core/flight/loop.py, `memories`, `command`
+ * and of `step` what the thrusters fire. */
 #include "keepout_internal.h"
 
 void keepout_begin(const keepout_mission *mission, keepout_memory *memory, const keepout_estimate *estimate,
@@ -8,6 +9,7 @@ void keepout_begin(const keepout_mission *mission, keepout_memory *memory, const
     if (mission->guard->present) {
         keepout_guard_begin(mission, &memory->guard, estimate, under_way);
     }
+    keepout_thrusters_begin(&memory->thrusters);
 }
 
 void keepout_step(const keepout_mission *mission, keepout_memory *memory, const keepout_estimate *estimate,
@@ -21,4 +23,5 @@ void keepout_step(const keepout_mission *mission, keepout_memory *memory, const 
                                                    order->disturbance_estimate, order->force);
         keepout_law_told(mission->law, &memory->law, order->force);
     }
+    keepout_thrusters_fire(mission->thrusters, &memory->thrusters, order);
 }

@@ -68,16 +68,16 @@ static int far_from(double a, double b)
 /* Numbers of an order that do not agree; the hash of all goes on. */
 static int compare(const keepout_order *found, const keepout_order *told, uint64_t *hash)
 {
-    const double *a[5] = {found->force, found->commanded_force, found->desired_velocity, found->safe_velocity,
-                          found->disturbance_estimate};
-    const double *b[5] = {told->force, told->commanded_force, told->desired_velocity, told->safe_velocity,
-                          told->disturbance_estimate};
+    const double *a[6] = {found->force,         found->commanded_force,      found->desired_velocity,
+                          found->safe_velocity, found->disturbance_estimate, found->mean_force};
+    const double *b[6] = {told->force,         told->commanded_force,      told->desired_velocity,
+                          told->safe_velocity, told->disturbance_estimate, told->mean_force};
     const double c[3] = {found->barrier, found->backstepping_barrier, found->lyapunov};
     const double d[3] = {told->barrier, told->backstepping_barrier, told->lyapunov};
     int wrong = 0;
     int i;
     int j;
-    for (i = 0; i < 5; i++) {
+    for (i = 0; i < 6; i++) {
         for (j = 0; j < 3; j++) {
             wrong += far_from(a[i][j], b[i][j]);
             *hash = hash_of(*hash, a[i][j]);
@@ -86,6 +86,10 @@ static int compare(const keepout_order *found, const keepout_order *told, uint64
     for (i = 0; i < 3; i++) {
         wrong += far_from(c[i], d[i]);
         *hash = hash_of(*hash, c[i]);
+    }
+    for (i = 0; i < KEEPOUT_THRUSTERS; i++) {
+        wrong += far_from(found->pulse[i], told->pulse[i]) + far_from(found->on_time[i], told->on_time[i]);
+        *hash = hash_of(hash_of(*hash, found->pulse[i]), found->on_time[i]);
     }
     wrong += (found->control_status != told->control_status) ? 1 : 0;
     wrong += (found->guard_status != told->guard_status) ? 1 : 0;
