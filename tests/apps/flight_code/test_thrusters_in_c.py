@@ -42,7 +42,8 @@ PRESETS = {
 }
 
 
-@pytest.fixture(scope="module", params=PRESETS)
+# One layout in each run of the tests, by the modulation that owes impulses; the others hold the same.
+@pytest.fixture(scope="module", params=["24", *(pytest.param(name, marks=pytest.mark.slow) for name in ("12", "own"))])
 def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Exported:
     mission = prepare(Scenario.of(tomllib.loads(ALIKE)).replace(**PRESETS[request.param]))
     folder = tmp_path_factory.mktemp("thrusters") / "flight"
