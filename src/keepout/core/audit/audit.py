@@ -79,7 +79,7 @@ def proved_outside(
 
 
 _REPLACED = 0b11
-"""Bits of a recorded guard status that are not all 0 where the guard replaced the command (docs/guard.md)."""
+"""Bits of a recorded guard status that are not all 0 where the guard replaced the command (docs/files.md)."""
 
 _ROUNDING = 1e-9
 """Metres taken off every clearance bound: far more than float64 loses at the size of a space station."""
