@@ -209,7 +209,8 @@ def _searched(tree: RayTree, limits: Limits, patches: Patches, units: Units, squ
     corners = np.take_along_axis(patches.corners[patch], order[:, :, None], axis=1)
     outlines = np.ascontiguousarray(np.einsum("mkj,maj->mka", corners - centres[:, None], frames[:, 1:3]))
     # A place is at least the stand-off from the mesh next to the patch's middle, at the greatest incidence at most.
-    least = max(limits.stand_off / math.hypot(1.0, limits.spread) - 1e-3, 1e-3)
+    lowest = limits.stand_off / math.hypot(1.0, limits.spread)
+    least = max(lowest - 1e-3, 0.5 * lowest)
     largest = float(np.abs(tree.corners).max()) + limits.greatest_range
     asked = frames, outlines, np.ascontiguousarray(corners), np.ascontiguousarray(patches.counts[patch])
     return _search(tree, limits, asked, least, largest, squares)
