@@ -206,7 +206,7 @@ def test_steps_answer_as_python_does_whatever_is_told(made: Coded, folder: Path)
         for name in told[part].dtype.names:
             np.testing.assert_allclose(begun[part][name], told[part][name], rtol=1e-11, atol=1e-13)
     seen = set()
-    for _ in range(60):
+    for _ in range(240):  # a plan must come to rest for its place to be held
         told = compiled_step.memories_of(made, *memory)
         wrong = rng.uniform(-1.0, 1.0, (2, count, 3)) * np.array([0.02, 1e-3])[:, None, None]
         wrong[0] += rng.normal(0, 0.5, (count, 3)) * (rng.random((count, 1)) < 0.05)
