@@ -192,11 +192,11 @@ def index() -> str:
     rows = []
     for name, example in GALLERY_PAGES.items():
         pictures = kept(name)[1]
-        thumbnail = f"[![{example.title}]({pictures[0]}){{ width=220 }}]({name}.md)" if pictures else ""
-        rows.append(f"| {thumbnail} | [{example.title}]({name}.md) | {told(EXAMPLES / example.files[0])} |")
+        thumbnail = f"![]({pictures[0]})<br>" if pictures else ""
+        rows.append(f"| [{thumbnail}{example.title}]({name}.md) | {told(EXAMPLES / example.files[0])} |")
     head = (
         "# Gallery\n\nThis page is for somebody who looks for something to start from: each file of `examples/`, with\n"
-        "the command that runs it and what came out.\n\n| | example | what it shows |\n| --- | --- | --- |\n"
+        "the command that runs it and what came out.\n\n| example | what it shows |\n| --- | --- |\n"
     )
     return head + "\n".join(rows) + "\n"
 

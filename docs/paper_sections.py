@@ -38,8 +38,9 @@ def reproduction() -> list[str]:
     lines = [
         "## The paper's Section VI, repeated",
         "",
-        "`keepout reproduce all -o out/paper` writes this as `tables.json`. Reached: the flight ends within the "
-        "goal's tolerance, 0.1 m. The time to reach is that since which the flight stays there; it may have been "
+        "`keepout reproduce all --fields benchmarks/results/fields -o out/paper` writes this as `tables.json`. "
+        "Reached: the flight ends within the goal's tolerance, 0.1 m. "
+        "The time to reach is that since which the flight stays there; it may have been "
         "there before and have left again. In Case 3 flights last 3000 s around intelsat30 and 4000 s around iss, and "
         "with a larger k_p 6 (k_p − 1.5 m)/v_max longer. Compare Δv only between rows of one duration.",
         "",

@@ -1,4 +1,6 @@
-"""Learn a policy by the cross-entropy method, with and without the guard as a shield (needs `keepout-gnc[gym]`).
+"""Learn a policy by the cross-entropy method, with and without the guard as a shield.
+
+It needs the extra `gym`:
 
 python examples/learn_a_policy.py [--generations 80] [--out out/learn_a_policy.png]
 """
