@@ -25,14 +25,13 @@ DOCS = Path(__file__).parent
 SCENARIO = """\
 # Scenario entries
 
-This page answers whoever writes a scenario file: which entries there are, what each means, and which values it takes.
+This page lists the entries of a scenario file, what each means, and which values it takes.
 
-A line begins with an entry and its default in TOML (angles rounded), as below `[guard]`; `--set` and refusals say
-`guard.delay`. An entry without a default is unset, and one that is *needed* must be given. An empty file is valid: the
-source paper's Case 1. Units are SI, angles radians. Places, corners, axes and directions are vectors of three numbers,
-in the target's body frame unless said. Words that are values stand in quotes. A number must be >0, or ≥0 where its
+A line begins with an entry and its default in TOML (angles rounded). `--set` and refusals put the table before it, as
+`guard.delay`. An entry without a default is unset, and one that is *needed* must be given. An empty file is the source
+paper's Case 1. Units are SI, angles radians. Places, corners, axes and directions are vectors of three numbers, in the
+target's body frame unless said. Write words in quotes, the layouts 12 and 24 too. A number must be >0, or ≥0 where its
 default is 0, unless the line ends otherwise; *any* may be negative. A table in double brackets may stand several times.
-A header, or the sentence below it, leads to the page on its use.
 """
 SEE = {
     "target": "my-mesh",
@@ -75,8 +74,7 @@ INNER: Mapping[str, Sequence[tuple[str, type[Entry]]]] = {
 COMMANDS = """\
 # Command line
 
-This page answers whoever looks for a command of `keepout`, an option or an exit code. `keepout COMMAND --help` says the
-same, with examples.
+`keepout COMMAND --help` says the same as this page, with examples.
 
 The exit code is 0 if the command did its work, whatever an audit's verdict is; 1 if it refused or failed, for which
 standard error gives the reason; 2 if the command line is not valid; 3 if results do not meet the scenario's

@@ -30,15 +30,10 @@ QUICKER = {
     "docs/inspection.md": [
         ('Scenario.load("examples/inspect.toml")', 'Scenario.load("mission.toml")'),
         ("range(3)", "range(1)"),
-        ("out/inspect/inspect.parquet", "out/inspect/look.parquet"),
     ],
 }
 """What is written, and what the test writes instead."""
 BEFORE = {
-    "docs/inspection.md": "from pathlib import Path\n"
-    "from keepout import Scenario\n"
-    "from keepout.apps.inspection.command import inspect_to_folder\n"
-    "inspect_to_folder(Scenario.load('mission.toml'), Path('out/inspect'), figures=False)\n",
     "docs/python.md": "from keepout.core.guard.field import guard_field\n",
     "docs/flights-out.md": "import keepout\n"
     "from pathlib import Path\n"

@@ -205,8 +205,9 @@ class FaultsEntry(Entry):
     """Errors and failures; law and guard know only what `guard` says of them.
 
     Attributes:
-        law: In the law's place: full thrust into the body; through to the goal at twice the speed limit; random forces;
-            bang-bang, full thrust in a random corner for 15 periods; not a number in every 15th command; none.
+        law: In the law's place: full thrust "into the body"; "through" to the goal at twice the speed limit; "random"
+            forces; "bang-bang", full thrust in a random corner for 15 periods; "not a number" in every 15th command;
+            "none".
         position_bias, velocity_bias: Constant error of the estimate, direction random, m, m/s.
         position_noise, velocity_noise: Largest error of the estimate, new each period, m, m/s.
         position_noise_std, velocity_noise_std: Standard deviation of unbounded Gaussian errors of each axis, m, m/s.
@@ -364,7 +365,7 @@ class AttitudeEntry(Entry):
     """How the target turns; all but `kind` is for tumbling.
 
     Attributes:
-        kind: Fixed to vvlh or inertial axes, or tumbling freely, which the others are for.
+        kind: Fixed to vvlh or inertial axes, or tumbling freely; only then the others count.
         angular_velocity: Inertial, at the start, body axes, rad/s.
         inertia: Of the target, body axes, kg m2.
         gravity_gradient: The Earth's gravity turns the target.
@@ -510,7 +511,7 @@ class NavigationEntry(Entry):
     Attributes:
         suite: far (GNSS), near (laser range and bearing), close (pose by lidar or camera), or none: the true state with
             errors of `faults`.
-        estimate: Kalman filter of motion and disturbance; the last samples and the law's observer; or raw samples.
+        estimate: Kalman "filter" of motion and disturbance; last samples and the law's "observer"; or "raw" samples.
         position_noise, velocity_noise: Largest error of a sample of suite close, m, m/s; unset: 0.05, 0.002.
         dropout: Probability that a sample is lost; unset: the suite's.
         most_missed: Most samples lost in a row; unset: the suite's.

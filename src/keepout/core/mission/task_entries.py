@@ -35,10 +35,10 @@ class LegEntry(Entry):
     Attributes:
         name: Unset: the number.
         position: Hold point, m.
-        axes: body, or vvlh or inertial (ECI), whichever the target stands still in.
+        axes: body; vvlh or inertial (ECI) where the target stands still in them.
         tolerance: The chaser is there while it is this near, m.
         dwell: Stay there without a break, s.
-        until: "go": it flies on at this word, of the caller on board, at `go_at` in simulation.
+        until: "go": it flies on at this word only, of the caller on board, at `go_at` in simulation.
         go_at: When "go" is said, s; `until` needs it.
         speed_limit: On the way there, m/s; unset: chaser.speed_limit.
         within: [earliest, latest], s: not flown to before, and reached by then.
@@ -160,7 +160,7 @@ class ApproachEntry(Entry):
         speed_by_distance: Pairs [distance, m, largest speed, m/s], far ones first; linear between.
         distance_to: Point to which distances are, body axes, m; unset: the mesh, by the law's field, which says less.
         abort: retreat to the previous hold point, under the guard, or drift, all thrusters off, at `faults.abort_at`.
-        abort_time: How long drifts without thrust should touch nothing, s, judged every few seconds.
+        abort_time: How long drifts without thrust should touch nothing, s.
 
     """
 
@@ -315,8 +315,8 @@ class DepthSensorEntry(Entry):
         grazing_angle: Incidence beyond which returns are lost, which the sensor says, rad.
         turn_rate, turn_acceleration: Of the boresight, at most, rad/s, rad/s².
         errors: random, or adversarial: at their bounds with the worst signs.
-        broken: Promise that it breaks: range or pose error twice the bound; mixed ranges of near and far; losses that
-            look like no return; late images; none.
+        broken: Promise that it breaks: "range" or "pose" error twice the bound; "mixed" ranges of near and far;
+            "losses" that look like no return; "late" images; "none".
 
     """
 
@@ -488,7 +488,7 @@ class InspectEntry(Entry):
         most_views: Most views in one plan.
         dwell: Stay at each view, s.
         proof_squares: Most squares of directions to prove what can be seen.
-        proof_time: Most time for that proof, s; if it ends the proof, results say so and depend on the machine.
+        proof_time: Most time for that proof, s; one cut short depends on the machine, and results say so.
         passive_safety: How long drifts without thrust touch nothing, s.
         plume_half_angle: Of a plume, from its axis, rad.
         plume_range: Beyond it a plume harms nothing, m; unset: it always does.
