@@ -162,9 +162,19 @@ class _Remembered(GuidancePlan):
         assert isinstance(plan, LegPlan)
         return replace(self, plan=plan)
 
-    def guidance(self, field: Field, offset: float, goal: Point, **how: Any) -> Guidance:
+    def guidance(
+        self,
+        field: Field,
+        offset: float,
+        goal: Point,
+        *,
+        speed: float,
+        slowing_length: float,
+        start: Point | None = None,
+        progress: Progress = silent,
+    ) -> Guidance:
         """Make the guidance, or give the one made before its speed and slowing length."""
-        start = how.get("start")
+        how = {"speed": speed, "slowing_length": slowing_length, "start": start, "progress": progress}
         key = (
             self.field_sha256,
             float(offset),
@@ -173,7 +183,7 @@ class _Remembered(GuidancePlan):
             *self.plan.identity(field),
         )
         made: Guidance = self.shelf.get(key, lambda: self.plan.guidance(field, offset, goal, **how))
-        return self.plan.again(made, how["speed"], how["slowing_length"])
+        return self.plan.again(made, speed, slowing_length)
 
 
 @dataclass(frozen=True, eq=False)
