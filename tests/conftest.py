@@ -106,7 +106,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     It costs a tenth, and the storeys above call the core as its own tests do.
     """
     unhurried = item.config.getoption("--hypothesis-profile") == "random"
-    short = item.get_closest_marker("long") is None and "core" in item.path.parts
+    short = item.get_closest_marker("long") is None and item.nodeid.startswith("tests/core/")
     jaxtyping.config.update("jaxtyping_disable", not unhurried and not short)
 
 
