@@ -2,6 +2,7 @@
 
 import itertools
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ from keepout.apps.inspection.candidates import Views
 from keepout.apps.inspection.light import Camera, LitTimes
 from keepout.apps.inspection.light_tour import LightTours
 from keepout.apps.inspection.plan import Task
-from keepout.apps.inspection.problem import rules_of
+from keepout.apps.inspection.problem import Problem, rules_of
 from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
+from keepout.apps.inspection.ways import Ways
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 
@@ -47,9 +49,9 @@ def made(views, lit, areas, goal=np.inf, most_views=20, tries=1500, **inspect):
 
     areas = np.asarray(areas, dtype=float)
     asked = {"objective": "time", "delta_v_worth": 1.0, "dwell": 0.0, "most_views": most_views} | inspect
-    scenario = SimpleNamespace(chaser=CHASER, camera=CAMERA, inspect=SimpleNamespace(**asked))
-    problem, goal = SimpleNamespace(scenario=scenario), min(goal, areas.sum())
-    task = Task(problem, lit, areas, goal, None, np.zeros(3), AHEAD, 0.0)
+    scenario = Mock(spec=Scenario, chaser=CHASER, camera=CAMERA, inspect=SimpleNamespace(**asked))
+    problem, goal = Mock(spec=Problem, scenario=scenario), float(min(goal, areas.sum()))
+    task = Task(problem, lit, areas, goal, Mock(spec=Ways), np.zeros(3), AHEAD, 0.0)
     return LightTours(task, views, lengths).best(tries)
 
 

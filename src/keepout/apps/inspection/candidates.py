@@ -15,11 +15,11 @@ from scipy import sparse
 
 from keepout.apps.inspection.passive import Drifting
 from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.seeing.patches import Areas, Marks, Point, Units
+from keepout.apps.inspection.seeing.patches import Areas, Marks, Units
 from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, visible
 from keepout.apps.led.camera import axes_across
 from keepout.core.cores import available_cores, kernel
-from keepout.core.geometry.distance import Points
+from keepout.core.geometry.distance import Point, Points
 from keepout.core.progress import Progress, part_of, silent
 
 _PLACES_EACH, _FEWEST_PLACES = 4, 64
@@ -121,7 +121,9 @@ class _Places:
         self.unsafe += int(np.count_nonzero(~answer))
         return answer
 
-    def drawn(self, generator: np.random.Generator, weights: Areas, rules: SeeingRules, count: int) -> Points:
+    def drawn(
+        self, generator: np.random.Generator, weights: Float[np.ndarray, " units"], rules: SeeingRules, count: int
+    ) -> Points:
         """Draw places for units by their weights, where the chaser may be at all; fewer if that is hard."""
         kept, patches = np.zeros((0, 3)), self.problem.patches
         low, high = max(self.level, rules.least_range), _FAR * rules.greatest_range

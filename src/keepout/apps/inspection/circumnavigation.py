@@ -30,10 +30,9 @@ from keepout.apps.inspection.passive import (
     rows,
     states_at_times,
 )
-from keepout.apps.inspection.seeing.patches import Point
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import InspectionError
-from keepout.core.geometry.distance import Points
+from keepout.core.geometry.distance import Point, Points
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.attitude import VVLHFixed
@@ -97,7 +96,16 @@ class Circumnavigation:
 
 
 def hill_states(mean_motion: float, height: Sizes, across: Sizes, tilt: Sizes, phase: Sizes) -> tuple[Points, Points]:
-    """Give positions (m) and velocities (m/s) in VVLH on an ellipse of Hill's equations, or on one each."""
+    """Give positions (m) and velocities (m/s) in VVLH on an ellipse of Hill's equations at phases φ, or on one each.
+
+    Args:
+        mean_motion: n, 1/s.
+        height: a, half of the ellipse's height, m.
+        across: b, amplitude across the orbit, m.
+        tilt: β, by which the motion across is ahead, rad.
+        phase: φ, rad.
+
+    """
     n, a, b = mean_motion, height, across
     place = np.stack([a * np.cos(phase), -2.0 * a * np.sin(phase), b * np.cos(phase + tilt)], axis=-1)
     rate = np.stack([-a * np.sin(phase), -2.0 * a * np.cos(phase), -b * np.sin(phase + tilt)], axis=-1)

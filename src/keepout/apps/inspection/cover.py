@@ -137,7 +137,7 @@ class Relaxed(NamedTuple):
     """
 
     taken: Float[np.ndarray, " views"]
-    prices: Areas
+    prices: Float[np.ndarray, " units"]
     area_price: float
     steps: int
 
@@ -171,7 +171,7 @@ class Covering:
         return float(self.areas[np.asarray(self.sees[chosen].sum(axis=0)).ravel() > 0.0].sum())
 
     def completed(
-        self, kept: Int[np.ndarray, " m"], weights: Areas | None = None, most: int | None = None
+        self, kept: Int[np.ndarray, " m"], weights: Float[np.ndarray, " units"] | None = None, most: int | None = None
     ) -> Int[np.ndarray, " k"]:
         """Add views by greed until the goal is seen, nothing adds, or there are `most`.
 
@@ -257,7 +257,9 @@ class Covering:
                 uncovered[units] = 0.0
         return bound
 
-    def price_value(self, unit_prices: Areas, area_price: float) -> tuple[float, Float[np.ndarray, " views"]]:
+    def price_value(
+        self, unit_prices: Float[np.ndarray, " units"], area_price: float
+    ) -> tuple[float, Float[np.ndarray, " views"]]:
         """Bound from below how many views see the goal, by any prices.
 
         With π ≥ 0 and λ ≥ 0 the Lagrangian's least value over 0 ≤ x, m ≤ 1 is

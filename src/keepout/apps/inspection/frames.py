@@ -12,11 +12,12 @@ import pyarrow.parquet as pq
 
 from keepout.apps.inspection.light import Camera, Light
 from keepout.apps.inspection.problem import patch_size, rules_of
-from keepout.apps.inspection.seeing.patches import Marks, Patches, Point, Units, cut
+from keepout.apps.inspection.seeing.patches import Marks, Patches, Units, cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.led.camera import angle_between
 from keepout.core.errors import InspectionError
 from keepout.core.flight.record import FlightRecord
+from keepout.core.geometry.distance import Point
 from keepout.core.geometry.target import Target
 from keepout.core.kept import digest
 from keepout.core.mission.scenario import Scenario

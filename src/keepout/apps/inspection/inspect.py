@@ -29,7 +29,7 @@ from keepout.apps.inspection.problem import (
     require_something_to_see,
     rules_of,
 )
-from keepout.apps.inspection.seeing.patches import Marks, Point
+from keepout.apps.inspection.seeing.patches import Marks
 from keepout.apps.inspection.seeing.visible import in_view, visible
 from keepout.apps.inspection.views_ahead import ViewsAhead
 from keepout.apps.inspection.ways import way_length
@@ -39,6 +39,7 @@ from keepout.core.errors import InspectionError
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.loop import fly
 from keepout.core.flight.setup import FlightSetup
+from keepout.core.geometry.distance import Point
 from keepout.core.geometry.target import Target
 from keepout.core.guard.safety_layer import mode
 from keepout.core.mission.build import build_guard, require_navigation

@@ -15,11 +15,12 @@ from matplotlib.patches import Circle, Patch
 from scipy.ndimage import binary_erosion
 
 from keepout.apps.inspection.inspection import Fate, Inspection, fates
-from keepout.apps.inspection.seeing.patches import Patches, Point, Units
+from keepout.apps.inspection.seeing.patches import Patches, Units
 from keepout.apps.inspection.seeing.sightlines import slab
 from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.led.first_hit import FirstHit
 from keepout.core.cores import kernel
+from keepout.core.geometry.distance import Point
 from keepout.flights.pages.figures import COLOURS, figure
 from keepout.flights.pages.mesh_pictures import READABLE, eye_axes, fill_triangle, rasterise
 
@@ -414,7 +415,9 @@ def _view(inspection: Inspection, units: Units, frame: int) -> BestView:
     return BestView(units, frame, shown, share, away, sample_distance)
 
 
-def _aspect(patches: Patches, units: Units, position: Point) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+def _aspect(
+    patches: Patches, units: Int[np.ndarray, " k"], position: Point
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Give the cosine of the angle at which a camera looks at the middle of each unit, and how far off that is, m."""
     away = position - patches.centres[units // 2]
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
@@ -422,7 +425,7 @@ def _aspect(patches: Patches, units: Units, position: Point) -> tuple[Float[np.n
     return np.maximum(np.einsum("ni,ni->n", away, normals) / distance, 1e-3), distance
 
 
-def _parts(patches: Patches, units: Units, areas: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+def _parts(patches: Patches, units: Int[np.ndarray, " k"], areas: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
     """Give each unit a part: first ones as far apart as can be, then each unit to the nearest, weighed by area."""
     centres = patches.centres[units // 2]
     size = max(float(np.linalg.norm(np.ptp(patches.corners.reshape(-1, 3), axis=0))), 1e-9)

@@ -9,7 +9,6 @@ import numpy as np
 
 from keepout.apps.inspection.limits import sparing
 from keepout.apps.inspection.problem import require_stand_off
-from keepout.apps.inspection.seeing.patches import Point
 from keepout.apps.led.driver import Leading, moved
 from keepout.core.control.barrier_grid import BarrierGrid
 from keepout.core.control.geodesic import GeodesicGuidance
@@ -17,6 +16,7 @@ from keepout.core.control.law import Law
 from keepout.core.errors import InspectionError
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
+from keepout.core.geometry.distance import Point
 from keepout.core.geometry.target import Target
 from keepout.core.guard.start import require_flyable
 from keepout.core.mission.build import build_guard, closing_radius, load_model, require_navigation

@@ -17,13 +17,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int8
+from jaxtyping import Array, Bool, Float, Int, Int8
 
-from keepout.apps.inspection.seeing.patches import Marks, Point, Units
+from keepout.apps.inspection.seeing.patches import Marks, Units
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules, in_frame, lit_units
 from keepout.core.errors import InspectionError
-from keepout.core.geometry.distance import Points
+from keepout.core.geometry.distance import Point, Points
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
@@ -230,7 +230,7 @@ class Camera:
         units = in_frame(self.sight, self.rules, place, boresight, among=among)
         return units if sun is None else units[self.lit(sun, units)]
 
-    def lit(self, sun: Point, units: Units) -> Bool[np.ndarray, " k"]:
+    def lit(self, sun: Point, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
         """Whether units are wholly lit from a direction (unit vector), at a fit incidence."""
         if self._sun is None or not np.array_equal(self._sun, sun):
             self._sun, self._lit = sun, np.full(self.sight.patches.units, -1, dtype=np.int8)

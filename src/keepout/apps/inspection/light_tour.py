@@ -22,9 +22,10 @@ from scipy import sparse
 from keepout.apps.inspection.candidates import Views
 from keepout.apps.inspection.cover import fewest_views, shortlist
 from keepout.apps.inspection.plan import InspectionPlan, Task
-from keepout.apps.inspection.seeing.patches import Areas, Point
+from keepout.apps.inspection.seeing.patches import Areas
 from keepout.apps.inspection.tour import Tour, weights
 from keepout.core.cores import kernel
+from keepout.core.geometry.distance import Point
 from keepout.core.progress import Progress
 
 _BASE = 0.2

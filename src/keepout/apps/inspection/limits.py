@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from keepout.apps.inspection.passive import Distance, PassiveSafety, drift_speed, passive_safety, states_of_record
-from keepout.apps.inspection.seeing.patches import Point
 from keepout.apps.inspection.ways import way_length
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.control.controller import Controller
@@ -33,6 +32,7 @@ from keepout.core.control.legs import LegGuidance
 from keepout.core.errors import ControlError, ScenarioError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import Faults
+from keepout.core.geometry.distance import Point
 from keepout.core.mission.approach import released
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario

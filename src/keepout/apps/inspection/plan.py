@@ -20,13 +20,13 @@ from keepout.apps.inspection.candidates import Views, tighter_rules
 from keepout.apps.inspection.light import LitTimes
 from keepout.apps.inspection.passive import Course, Drifting, DriftsPlanned
 from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.seeing.patches import Areas, Marks, Point, Units
+from keepout.apps.inspection.seeing.patches import Areas, Marks, Units
 from keepout.apps.inspection.seeing.visible import SeeingRules, in_frame
 from keepout.apps.inspection.tour import Legs, Tour, flown, turning_time
 from keepout.apps.inspection.ways import Pairs, Ways, way_length
 from keepout.apps.led.camera import angle_between
 from keepout.core.cores import available_cores
-from keepout.core.geometry.distance import Points
+from keepout.core.geometry.distance import Point, Points
 from keepout.core.mission.scenario import Scenario
 
 Between = tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]]
@@ -241,7 +241,7 @@ class Task:
         """Give the units wanted that a frame shows, in any light."""
         return in_frame(self.problem.sight, self.rules, place, boresight, among=self.areas > 0.0)
 
-    def turns(self, first: Points, second: Points) -> Float[np.ndarray, "n m"]:
+    def turns(self, first: Points, second: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n m"]:
         """Give the times that the boresight takes from some directions to others, s."""
         return turning_time(first, second, self.scenario.camera.turn_rate, self.scenario.camera.turn_acceleration)
 

@@ -20,9 +20,10 @@ from keepout.apps.inspection.light import LitTimes
 from keepout.apps.inspection.light_tour import plan_in_light
 from keepout.apps.inspection.plan import Between, DrawnUp, InspectionPlan, Task
 from keepout.apps.inspection.problem import Problem, boresight_of
-from keepout.apps.inspection.seeing.patches import Areas, Marks, Point, Units
+from keepout.apps.inspection.seeing.patches import Areas, Marks, Units
 from keepout.apps.inspection.tour import Tour, best_tour
 from keepout.apps.inspection.ways import way_length
+from keepout.core.geometry.distance import Point
 from keepout.core.progress import Progress, part_of, silent
 
 

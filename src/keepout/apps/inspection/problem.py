@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from keepout.apps.inspection.light import Camera, Light
 from keepout.apps.inspection.limits import Protected
-from keepout.apps.inspection.seeing.patches import MOST_PATCHES, Marks, Patches, Point, Units, cut
+from keepout.apps.inspection.seeing.patches import MOST_PATCHES, Marks, Patches, Units, cut
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, seeable
 from keepout.apps.inspection.seeing.sightlines import Sightlines
@@ -24,6 +24,7 @@ from keepout.apps.inspection.ways import MOST_NODES, Ways
 from keepout.apps.led.camera import Boresight
 from keepout.core.control.profiles import least_offset
 from keepout.core.errors import InspectionError
+from keepout.core.geometry.distance import Point
 from keepout.core.geometry.target import Target
 from keepout.core.mission.approach import require_one_leg
 from keepout.core.mission.law import room_for_guard
@@ -45,10 +46,13 @@ _ROUNDING = 1e-12
 
 def rules_of(scenario: Scenario) -> SeeingRules:
     """Give the limits of a scenario's camera and light."""
-    of_camera = ("field_of_view", "pixels", "least_range", "greatest_range", "greatest_incidence")
-    finest = scenario.camera.greatest_sample_distance
+    camera, finest = scenario.camera, scenario.camera.greatest_sample_distance
     return SeeingRules(
-        **{name: getattr(scenario.camera, name) for name in of_camera},
+        field_of_view=camera.field_of_view,
+        pixels=camera.pixels,
+        least_range=camera.least_range,
+        greatest_range=camera.greatest_range,
+        greatest_incidence=camera.greatest_incidence,
         greatest_sample_distance=math.inf if finest is None else finest,
         greatest_sun_incidence=scenario.light.greatest_incidence,
     )

@@ -89,7 +89,9 @@ def weights(objective: Objective, worth: float, *, side: float = 100.0 * _SIDE) 
     return {"time": (1.0, side), "delta_v": (_SIDE, 100.0), "both": (1.0, worth)}[objective]
 
 
-def turning_time(first: Points, second: Points, rate: float, acceleration: float) -> Float[np.ndarray, "n m"]:
+def turning_time(
+    first: Points, second: Float[np.ndarray, "m 3"], rate: float, acceleration: float
+) -> Float[np.ndarray, "n m"]:
     """Give the times (s) from rest to rest between boresights, at bounded rate (rad/s) and acceleration (rad/s²)."""
     angle = np.arccos(np.clip(first @ second.T, -1.0, 1.0))
     short = angle < rate * rate / acceleration

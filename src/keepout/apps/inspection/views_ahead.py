@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from keepout.apps.inspection.leading import AroundMesh
 from keepout.apps.inspection.light import ever_lit
@@ -16,11 +16,12 @@ from keepout.apps.inspection.passive import Drifting, DriftsFlown
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem, Wanted, boresight_of
-from keepout.apps.inspection.seeing.patches import Point, Units
+from keepout.apps.inspection.seeing.patches import Units
 from keepout.apps.led.camera import Boresight
 from keepout.apps.led.driver import Ended, given_up_at
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
+from keepout.core.geometry.distance import Point
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, silent
 
@@ -243,7 +244,7 @@ class ViewsAhead:
         areas = self.problem.patches.unit_areas()
         return float(areas[self._lost & self.wanted.left].sum()) >= _LOST * float(areas[self.wanted.possible].sum())
 
-    def _lit(self, now: float, units: Units) -> Bool[np.ndarray, " k"]:
+    def _lit(self, now: float, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
         light = self.problem.light
         sun = light.sun(now)
         return np.full(len(units), not light.matters) if sun is None else self.problem.camera.lit(sun, units)

@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import shortest_path
 
-from keepout.apps.inspection.seeing.patches import Point
 from keepout.core.control.barrier_grid import travel_time
 from keepout.core.cores import available_cores
-from keepout.core.geometry.distance import Distance, Points
+from keepout.core.geometry.distance import Distance, Point, Points
 
 MOST_NODES = 400_000
 """A grid takes the spacing, not below `_FINEST`, at which it has about so many nodes."""
@@ -98,7 +97,7 @@ class Ways:
             wall[tuple(doubtful.T)] = ~ways.clear(begin, begin + spacing * np.eye(3)[axis])
         return ways
 
-    def clear(self, begins: Points, ends: Points) -> Bool[np.ndarray, " m"]:
+    def clear(self, begins: Points, ends: Points) -> Bool[np.ndarray, " n"]:
         """Whether straight pieces are proved to keep the stand-off."""
         result = np.ones(len(begins), dtype=bool)
         middle, half = 0.5 * (begins + ends), 0.5 * np.linalg.norm(ends - begins, axis=1)
@@ -118,7 +117,7 @@ class Ways:
 
     def lengths(
         self, places: Points, known: Pairs | None = None
-    ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k 3"]]:
+    ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]]:
         """Give the lengths (m) of the ways between all places, infinite where none leads, and how they set out.
 
         A straight way that is clear has its own length; another has that of the grid, which is a few per cent more
@@ -166,7 +165,7 @@ class Ways:
 
     def _join(
         self,
-        places: Points,
+        places: Float[np.ndarray, "k 3"],
         joined: list[Joined],
         fresh: Bool[np.ndarray, "k k"],
         direct: Float[np.ndarray, "k k"],
@@ -199,7 +198,7 @@ class Ways:
             list(pool.map(march_from, np.flatnonzero(crooked.any(axis=0)).tolist()))
         np.minimum(direct, direct.T, out=direct)
 
-    def reached(self, begin: Point, places: Points) -> Bool[np.ndarray, " k"]:
+    def reached(self, begin: Point, places: Points) -> Bool[np.ndarray, " n"]:
         """Say to which places a way leads from one, by the grid or straight."""
         times = self._march(self._joined(begin))
         joined = [self._joined(place)[0] for place in places]
@@ -208,7 +207,7 @@ class Ways:
         found[alone] = self.clear(np.tile(begin, (len(alone), 1)), places[alone])
         return found
 
-    def nearly(self, place: Point, places: Points) -> Float[np.ndarray, " k"]:
+    def nearly(self, place: Point, places: Points) -> Float[np.ndarray, " n"]:
         """Give the lengths (m) of ways from one place to many, to within about a cell; infinite where none leads."""
         times = self._march(self._joined(place))
         at = (places - self.origin) / self.spacing
@@ -296,7 +295,7 @@ class Ways:
         keep = self.clear(np.tile(place, (len(nodes), 1)), self.origin + self.spacing * nodes)
         return nodes[keep], away[keep]
 
-    def _pulled(self, corners: Points) -> Points:
+    def _pulled(self, corners: Points) -> Float[np.ndarray, "m 3"]:
         """Leave corners out, and pull the rest towards the line between their neighbours, while all stays clear."""
         kept, here = [corners[0]], 0
         while here < len(corners) - 1:

@@ -12,7 +12,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from keepout.core.audit.audit import Audit, Contact
 from keepout.core.control.barrier_grid import BarrierGrid
@@ -24,6 +23,7 @@ from keepout.core.flight.loop import FlightLog, FlightOutcome, LoopState, begin,
 from keepout.core.flight.navigation import Navigation
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import FlightSetup
+from keepout.core.geometry.distance import Point
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.mission.flight import Flight, recorded
@@ -34,8 +34,6 @@ from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress
 from keepout.flights.pages.page import contact_said
-
-Point = Float[np.ndarray, "3"]
 
 
 @dataclass(frozen=True, eq=False)

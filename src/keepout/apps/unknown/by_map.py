@@ -17,7 +17,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, UInt16
 
-from keepout.apps.led.driver import Leading, Point
+from keepout.apps.led.driver import Leading
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.map_field import SLOPE, MapField
 from keepout.core.control.barrier_grid import BarrierGrid, outwards
@@ -25,6 +25,7 @@ from keepout.core.control.law import Law
 from keepout.core.control.profiles import least_offset
 from keepout.core.cores import kernel
 from keepout.core.errors import KeepOutZoneError, ScenarioError
+from keepout.core.geometry.distance import Point
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.start import starts_certified
 from keepout.core.mission.law import broken_as

@@ -34,6 +34,7 @@ from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import ControlError
 from keepout.core.flight.record import EXPLORED
 from keepout.core.flight.setup import FlightSetup
+from keepout.core.geometry.distance import Point
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import GuardState
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus
@@ -43,7 +44,6 @@ from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.mission.target import load_target
 from keepout.core.progress import Progress, silent
 
-Point = Float[np.ndarray, "3"]
 Pose = tuple[Point, Float[np.ndarray, "3 3"]]
 
 _NEAR = 0.25

@@ -14,6 +14,8 @@ from jaxtyping import Float, Int
 from keepout.core.cores import kernel, share_among_cores
 from keepout.core.errors import MeshError
 
+Point = Float[np.ndarray, "3"]
+"""A place, m, or a direction."""
 Points = Float[np.ndarray, "n 3"]
 
 _LEAF_TRIANGLES = 4

@@ -14,14 +14,13 @@ import numpy as np
 import scipy.sparse.csgraph
 from jaxtyping import Bool, Float, Int
 
+from keepout.apps.inspection.seeing.polygons import copy_corners, double_area, outline, simplified
 from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.distance import Points
 from keepout.core.geometry.target import Target, weld, zero_area
 from keepout.core.progress import Progress, silent
 
-Point = Float[np.ndarray, "3"]
-"""A place, m, or a direction; body frame."""
 Units = Int[np.ndarray, " _"]
 """Some units by their numbers."""
 Marks = Bool[np.ndarray, " units"]
@@ -40,8 +39,6 @@ _PIECE_CORNERS = 8
 """Room for the corners of a piece: a triangle cut by two pairs of lines has at most 7."""
 _MOST_CORNERS = 8
 """Corners of a patch, at most."""
-_STRAIGHT = 1e-9
-"""A corner that lies nearer than this to the line between its neighbours, or to one of them, is left out, m."""
 _GAP = 2e-7
 """Pieces are put together where the hull has at most this times its circumference more area than they have, m."""
 
@@ -373,16 +370,6 @@ def _keep(polygon, count, axis, line, sign, out):
 
 
 @kernel()
-def _double_area(polygon, count):
-    total = 0.0
-    for i in range(1, count - 1):
-        total += (polygon[i, 0] - polygon[0, 0]) * (polygon[i + 1, 1] - polygon[0, 1]) - (
-            polygon[i, 1] - polygon[0, 1]
-        ) * (polygon[i + 1, 0] - polygon[0, 0])
-    return total
-
-
-@kernel()
 def _span(polygon, count, axis, step, cells):
     """Give the first cell and the one after the last along an axis that a polygon may meet."""
     low, high = np.inf, -np.inf
@@ -395,13 +382,6 @@ def _span(polygon, count, axis, step, cells):
     while last > first and last * step >= high:
         last -= 1
     return first, last + 1
-
-
-@kernel()
-def _copy(polygon, count, to, first):
-    """Write corners into places of another array; a slice of it, copied, takes Numba a second to compile."""
-    for i in range(count):
-        to[first + i, 0], to[first + i, 1] = polygon[i, 0], polygon[i, 1]
 
 
 @kernel()
@@ -439,99 +419,15 @@ def _pieces(triangles, region, steps, cells, least, out):
             for j in range(first_y, end_y):
                 some = _keep(column, wide, 1, j * dy if j > 0 else -np.inf, 1.0, other)
                 count = _keep(other, some, 1, (j + 1) * dy if j + 1 < ny else np.inf, -1.0, piece)
-                area = 0.5 * _double_area(piece, count)
+                area = 0.5 * double_area(piece, count)
                 if count < 3 or area <= least:
                     continue
                 if len(counts) > 0:
-                    _copy(piece, count, corners[number], 0)
+                    copy_corners(piece, count, corners[number], 0)
                     counts[number], areas[number] = count, area
                     cell[number], face[number] = i * ny + j, f
                 number += 1
     return number
-
-
-@kernel()
-def hull_of(points, order, count, chain):
-    """Write indices of the corners of the convex hull, counter-clockwise (Andrew's monotone chain); their number.
-
-    Args:
-        points: (n, 2 or more) x, y.
-        order: of them by x, then y.
-        count: how many of these.
-        chain: room for twice as many indices, and two.
-
-    """
-    size = 0
-    for way in range(2):
-        base = size
-        for step in range(count):
-            k = order[step] if way == 0 else order[count - 1 - step]
-            while size >= base + 2:
-                a, b = chain[size - 2], chain[size - 1]
-                ax, ay = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-                bx, by = points[k, 0] - points[b, 0], points[k, 1] - points[b, 1]
-                if ax * by - ay * bx > 0.0:
-                    break
-                size -= 1
-            chain[size] = k
-            size += 1
-        size -= 1
-    return size
-
-
-@kernel()
-def _simplified(polygon, count):
-    """Leave out corners where the border runs straight on; in place; give the number left."""
-    i = 0
-    while i < count and count > 3:
-        before, after = (i - 1) % count, (i + 1) % count
-        ax, ay = polygon[i, 0] - polygon[before, 0], polygon[i, 1] - polygon[before, 1]
-        bx, by = polygon[after, 0] - polygon[before, 0], polygon[after, 1] - polygon[before, 1]
-        if abs(ax * by - ay * bx) <= _STRAIGHT * np.hypot(bx, by) or np.hypot(ax, ay) <= _STRAIGHT:
-            for k in range(i, count - 1):
-                polygon[k, 0], polygon[k, 1] = polygon[k + 1, 0], polygon[k + 1, 1]
-            count -= 1
-            i = max(i - 1, 0)
-        else:
-            i += 1
-    return count
-
-
-@kernel()
-def _measure(polygon, count):
-    around = 0.0
-    for i in range(count):
-        j = i + 1 if i + 1 < count else 0
-        around += np.hypot(polygon[j, 0] - polygon[i, 0], polygon[j, 1] - polygon[i, 1])
-    return 0.5 * _double_area(polygon, count), around
-
-
-@kernel()
-def sort_points(points, count, order):
-    """Write the order of points by x, then y."""
-    order[0] = 0
-    for i in range(1, count):
-        k, j = i, i
-        while j > 0 and (
-            points[order[j - 1], 0] > points[k, 0]
-            or (points[order[j - 1], 0] == points[k, 0] and points[order[j - 1], 1] > points[k, 1])
-        ):
-            order[j] = order[j - 1]
-            j -= 1
-        order[j] = k
-
-
-@kernel()
-def _outline(points, count, work):
-    """Write the convex hull of points without straight corners; their number, its area and its circumference."""
-    order, chain, out = work
-    sort_points(points, count, order)
-    size = hull_of(points, order, count, chain)
-    for i in range(size):
-        out[i, 0], out[i, 1] = points[chain[i], 0], points[chain[i], 1]
-    size = _simplified(out, size)
-    area, around = _measure(out, size)
-    return size, area, around
 
 
 @kernel()
@@ -564,15 +460,15 @@ def _merged(corners, counts, areas, true_areas, face, begin):
     for c in range(len(begin) - 1):
         start, end = begin[c], begin[c + 1]
         for i in range(start, end):
-            counts[i] = _simplified(corners[i], counts[i])
+            counts[i] = simplified(corners[i], counts[i])
             kept[i] = True
         if end - start > 1:
             number, total = 0, 0.0
             for i in range(start, end):
                 total += areas[i]
-                _copy(corners[i], counts[i], points, number)
+                copy_corners(corners[i], counts[i], points, number)
                 number += counts[i]
-            size, area, around = _outline(points, number, work)
+            size, area, around = outline(points, number, work)
             if size <= _MOST_CORNERS and area - total <= _GAP * around:
                 best = start
                 for i in range(start + 1, end):
@@ -580,7 +476,7 @@ def _merged(corners, counts, areas, true_areas, face, begin):
                     true_areas[start] += true_areas[i]
                     kept[i] = False
                 face[start], areas[start], counts[start] = face[best], total, size
-                _copy(hull, size, corners[start], 0)
+                copy_corners(hull, size, corners[start], 0)
                 continue
         again = end - start > 1
         while again:
@@ -594,15 +490,15 @@ def _merged(corners, counts, areas, true_areas, face, begin):
                         j += 1
                         continue
                     number = counts[i] + counts[j]
-                    _copy(corners[i], counts[i], points, 0)
-                    _copy(corners[j], counts[j], points, counts[i])
-                    size, area, around = _outline(points, number, work)
+                    copy_corners(corners[i], counts[i], points, 0)
+                    copy_corners(corners[j], counts[j], points, counts[i])
+                    size, area, around = outline(points, number, work)
                     if size <= _MOST_CORNERS and area - areas[i] - areas[j] <= _GAP * around:
                         if biggest[j] > biggest[i]:
                             face[i], biggest[i] = face[j], biggest[j]
                         areas[i] += areas[j]
                         true_areas[i] += true_areas[j]
-                        _copy(hull, size, corners[i], 0)
+                        copy_corners(hull, size, corners[i], 0)
                         counts[i] = size
                         kept[j] = False
                         again = True

@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from keepout.apps.inspection.seeing import sightlines
-from keepout.apps.inspection.seeing.patches import Marks, Patches, Units, hull_of, sort_points
+from keepout.apps.inspection.seeing.patches import Marks, Patches
+from keepout.apps.inspection.seeing.polygons import hull_of, sort_points
 from keepout.apps.inspection.seeing.room import Limits, Room, beam_workspace, first_place, least_height, place_of
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.led.camera import axes_across
 from keepout.apps.led.first_hit import DEEPEST, RayTree
 from keepout.core.cores import kernel
-from keepout.core.geometry.distance import Points
 from keepout.core.progress import Progress, silent
 
 SQUARES = 4_000_000
@@ -167,7 +167,7 @@ def seeable(
 
 
 def witnessed(
-    sight: Sightlines, rules: SeeingRules, room: Room, places: Points, units: Units
+    sight: Sightlines, rules: SeeingRules, room: Room, places: Float[np.ndarray, "m 3"], units: Int[np.ndarray, " m"]
 ) -> Bool[np.ndarray, " m"]:
     """Say of pairs of a place and a unit whether the place is in the room and sees all of the unit by the rules."""
     patches, patch = sight.patches, units >> 1
@@ -182,7 +182,7 @@ def witnessed(
     return kept
 
 
-def _enclosed(tree: RayTree, patches: Patches, units: Units) -> Bool[np.ndarray, " m"]:
+def _enclosed(tree: RayTree, patches: Patches, units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
     """Say from the middle of which units every one of many rays meets the mesh: a measurement, no proof."""
     turn = np.arange(_RAYS) * math.pi * (3.0 - math.sqrt(5.0))
     steep = 1.0 - np.arange(_RAYS) / _RAYS
@@ -191,14 +191,16 @@ def _enclosed(tree: RayTree, patches: Patches, units: Units) -> Bool[np.ndarray,
     return _all_blocked(tree, _frames(patches, units), rays)
 
 
-def _frames(patches: Patches, units: Units) -> Float[np.ndarray, "m 4 3"]:
+def _frames(patches: Patches, units: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 4 3"]:
     """Give the middle of each unit, two axes in its plane, and its normal."""
     normals = patches.unit_normals()[units]
     frames = np.stack([patches.centres[units >> 1], *axes_across(normals), normals], axis=1)
     return np.ascontiguousarray(frames)
 
 
-def _searched(tree: RayTree, limits: Limits, patches: Patches, units: Units, squares: int) -> tuple[Units, Points, int]:
+def _searched(
+    tree: RayTree, limits: Limits, patches: Patches, units: Int[np.ndarray, " m"], squares: int
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"], int]:
     """Search for each unit among so many squares of directions; give the ends, the places, and the squares in all."""
     patch = units >> 1
     frames, centres = _frames(patches, units), patches.centres[patch]

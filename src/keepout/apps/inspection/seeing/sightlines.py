@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from keepout.apps.inspection.seeing.patches import Patches, Point, Units
+from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.led.first_hit import DEEPEST, build_tree
 from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
-from keepout.core.geometry.distance import Points, TriangleSoup
+from keepout.core.geometry.distance import Point, Points, TriangleSoup
 
 FARTHEST = 1e5
 """Places may have coordinates up to this, m: beyond it rounding comes near the margins."""
@@ -61,7 +61,7 @@ class Sightlines:
         self.tree = build_tree(soup.vertices[soup.faces])
         self._largest = float(max(np.abs(soup.lower).max(), np.abs(soup.upper).max()))
 
-    def clear(self, places: Float[np.ndarray, "#m 3"], units: Units) -> Bool[np.ndarray, " m"]:
+    def clear(self, places: Float[np.ndarray, "#m 3"], units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
         """Say of each pair whether nothing stands between the place and the whole of the unit.
 
         A place behind the unit's plane, or less than a few `LIFT` above it, sees nothing of it.
@@ -81,7 +81,7 @@ class Sightlines:
         largest = max(self._largest, float(np.abs(places).max(initial=0.0)))
         return self._look(places, 1.0, units, largest)
 
-    def lit(self, sun: Point, units: Units) -> Bool[np.ndarray, " m"]:
+    def lit(self, sun: Point, units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
         """Say of each unit whether nothing stands between the whole of it and the sun, taken as infinitely far.
 
         Args:
@@ -99,7 +99,7 @@ class Sightlines:
         return self._look((sun / length)[None], 0.0, units, self._largest)
 
     def _look(
-        self, eyes: Float[np.ndarray, "#m 3"], far: float, units: Units, largest: float
+        self, eyes: Float[np.ndarray, "#m 3"], far: float, units: Int[np.ndarray, " m"], largest: float
     ) -> Bool[np.ndarray, " m"]:
         units = np.ascontiguousarray(units, dtype=np.int64)
         if len(units) and (units.min() < 0 or units.max() >= self.patches.units):

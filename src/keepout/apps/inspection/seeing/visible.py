@@ -4,12 +4,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from keepout.apps.inspection.seeing.patches import Marks, Patches, Point, Units
+from keepout.apps.inspection.seeing.patches import Marks, Patches, Units
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
+from keepout.core.geometry.distance import Point
 
 _FINITE = 1e6
 """Metres; farther than any camera of an inspection looks."""
@@ -88,7 +89,7 @@ class Visible:
 
     """
 
-    units: Units
+    units: Int[np.ndarray, " k"]
     directions: Float[np.ndarray, "k 3"]
     spread: Float[np.ndarray, " k"]
 
