@@ -14,7 +14,7 @@ import numpy as np
 from compiled_step import estimates_of, memories_of
 from flight_code_missions import Exported
 
-from keepout.apps.flight_code.folder import pulse_of
+from keepout.apps.flight_code import folder
 from keepout.apps.flight_code.missions import Coded
 from keepout.core.flight import loop
 from keepout.core.motion.chaser import ThrusterModel
@@ -74,9 +74,8 @@ def given_of(order: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def fired(thrusters: ThrusterModel, memory: Any, force: Any) -> tuple[Any, tuple[Any, ...]]:
     """Fire a force (N): the memory afterwards, and `GIVEN`."""
-    after, firing = thrusters.fire(memory, force)
-    on_time = jnp.zeros(1) if firing.on_time is None else firing.on_time
-    return after, (force, firing.force, pulse_of(thrusters, firing), on_time)
+    after, _, given = folder.fired(thrusters, memory, force)
+    return after, (force, *given)
 
 
 class Flights:

@@ -422,6 +422,9 @@ def test_campaign_report_compare_and_replay(folder, campaign):
     assert (folder / "compared" / "index.html").exists()
     assert keepout_process(folder, "report", "many", "--pdf", "-o", "many.pdf", "--json") == {"report": "many.pdf"}
     assert (folder / "many.pdf").read_bytes().startswith(b"%PDF")
+    page.unlink()
+    assert keepout_process(folder, "report", "many", "--json", program=COARSE)["page"] == "many/index.html"
+    assert page.exists()
     said = keepout_process(folder, "campaign", "replay", "many", "--run", 1, "--no-figures", "--json")
     assert (said["equal"], said["differences"]) == (True, {})
 

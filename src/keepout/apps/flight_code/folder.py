@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from keepout.apps.flight_code.missions import Coded, coded, directions_of, numbers_of, require_entries, sizes_of
 from keepout.apps.flight_code.spline_tables import SplineTables
@@ -291,13 +291,21 @@ class Answer(NamedTuple):
     on_time: np.ndarray
 
 
-def pulse_of(thrusters: ThrusterModel, firing: Firing) -> Float[Array, " thrusters"]:
-    """Give how long each thruster is commanded to be on, s: what a firing tells of it is late."""
+def fired(thrusters: ThrusterModel, memory: Any, force: Any) -> tuple[Any, Firing, tuple[Array, Array, Array]]:
+    """Fire a force (3,), N, for a control period.
+
+    Returns:
+        The memory afterwards, the firing, and of an `Answer` the mean force (N), pulses and on-times (s). A pulse is
+        how long a thruster is commanded to be on: what the firing tells of it is late.
+
+    """
+    memory, firing = thrusters.fire(memory, force)
     if not isinstance(thrusters, OnOffThrusters):
-        return jnp.zeros(1)
+        return memory, firing, (firing.force, jnp.zeros(1), jnp.zeros(1))
     assert firing.pulses is not None
-    begin = firing.pulses.begin[len(thrusters.push) :]
-    return thrusters.period - 2.0 * (begin - thrusters.rise_delay)
+    assert firing.on_time is not None
+    pulse = thrusters.period - 2.0 * (firing.pulses.begin[len(thrusters.push) :] - thrusters.rise_delay)
+    return memory, firing, (firing.force, pulse, firing.on_time)
 
 
 def stored_steps(made: Coded) -> tuple[list[MotionState], list[Answer]]:
@@ -310,12 +318,10 @@ def stored_steps(made: Coded) -> tuple[list[MotionState], list[Answer]]:
     board = OnBoard(setup, mission.initial)
 
     @jax.jit
-    def moved(state: MotionState, memory: Any, force: Any) -> tuple[MotionState, Any, list[Array]]:
-        memory, firing = setup.thrusters.fire(memory, force)
-        on_time = jnp.zeros(1) if firing.on_time is None else firing.on_time
-        fired = [firing.force, pulse_of(setup.thrusters, firing), on_time]
+    def moved(state: MotionState, memory: Any, force: Any) -> tuple[MotionState, Any, tuple[Array, ...]]:
+        memory, firing, given = fired(setup.thrusters, memory, force)
         period, mass = setup.period, setup.mass
-        return setup.motion.step(state, firing.force, setup.disturbance, period, mass, firing.pulses), memory, fired
+        return setup.motion.step(state, firing.force, setup.disturbance, period, mass, firing.pulses), memory, given
 
     def stepped(estimate: MotionState) -> Any:
         parts = (estimate.position, estimate.velocity, estimate.attitude, estimate.angular_velocity)
@@ -323,7 +329,7 @@ def stored_steps(made: Coded) -> tuple[list[MotionState], list[Answer]]:
 
     begun = memory = setup.thrusters.initial_state(jax.random.key(0))
     for _ in range(mission.steps):
-        state, memory, _fired = moved(states[-1], memory, stepped(states[-1]))
+        state, memory, _ = moved(states[-1], memory, stepped(states[-1]))
         states.append(state)
     away = values(made.law.velocity.field, np.array([state.position for state in states]))
     state = states[max(int(np.argmin(away)) - STEPS // 2, 0)]
@@ -339,8 +345,8 @@ def stored_steps(made: Coded) -> tuple[list[MotionState], list[Answer]]:
             estimate = dataclasses.replace(estimate, position=jnp.full(3, jnp.nan))
         force = stepped(estimate)
         told.append(jax.tree.map(np.asarray, estimate))
-        state, memory, fired = moved(state, memory, force)
-        answered.append(Answer(board.order, *map(np.asarray, fired)))
+        state, memory, given = moved(state, memory, force)
+        answered.append(Answer(board.order, *map(np.asarray, given)))
     return told, answered
 
 
@@ -360,7 +366,7 @@ def _selftest(made: Coded) -> bytes:
         *[f"    {_estimate(state)}," for state in told],
         "};",
         f"static const keepout_order selftest_orders[{STEPS}] = {{",
-        *[f"    {{{', '.join(value_text(part) for part in (*order, *fired))}}}," for order, *fired in answered],
+        *[f"    {{{', '.join(value_text(part) for part in (*order, *given))}}}," for order, *given in answered],
         "};",
     )
 
