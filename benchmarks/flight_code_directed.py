@@ -9,7 +9,6 @@ to the threshold if both agree at `STEPS_ASIDE` on both sides. Else it counts as
 """
 
 import collections
-import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ import jax
 import numpy as np
 from compiled_step import estimates_of, memories_of
 from flight_code_missions import Exported
-from flight_code_states import Step, apart, gathered
+from flight_code_states import Step, apart, gathered, with_parts
 from flight_code_stored import of_guard
 
 SCAN, HALVES, LISTED, STORED = 24, 60, 4, 31
@@ -100,22 +99,22 @@ def lines_of(state: State, guard: Any, rng: np.random.Generator) -> list[Line]:
 
     def plan_at_rest(told: State, by: np.ndarray) -> State:
         pace = turn * (1e-9 * (0.5 + by))[:, None]
-        new = dataclasses.replace(told.guard, plan_velocity=pace, certified=np.ones(count, bool))
-        new = dataclasses.replace(new, plan_position=_predicted(told, a, design))
+        new = with_parts(told.guard, plan_velocity=pace, certified=np.ones(count, bool))
+        new = with_parts(new, plan_position=_predicted(told, a, design))
         return told._replace(guard=new, force=np.full((count, 3), np.nan))
 
     def plan_off(told: State, by: np.ndarray) -> State:
         there = _predicted(told, a, design) + turn * by[:, None]
-        return told._replace(guard=dataclasses.replace(told.guard, plan_position=there, certified=np.ones(count, bool)))
+        return told._replace(guard=with_parts(told.guard, plan_position=there, certified=np.ones(count, bool)))
 
     def jump(told: State, by: np.ndarray) -> State:
         expected = np.asarray(told.guard.expected_position)
-        new = dataclasses.replace(told.estimate, position=expected + turn * by[:, None])
+        new = with_parts(told.estimate, position=expected + turn * by[:, None])
         return told._replace(estimate=new)
 
     def jump_of_pace(told: State, by: np.ndarray) -> State:
         expected = np.asarray(told.guard.expected_velocity)
-        new = dataclasses.replace(told.estimate, velocity=expected + turn * by[:, None])
+        new = with_parts(told.estimate, velocity=expected + turn * by[:, None])
         return told._replace(estimate=new)
 
     def command(told: State, by: np.ndarray) -> State:
@@ -158,23 +157,23 @@ def _carried(told: State, first: np.ndarray, direction: np.ndarray, by: np.ndarr
     step = first + direction * np.asarray(by)[:, None]
     base = np.asarray(told.estimate.position) + step
     shift = base - np.asarray(told.guard.expected_position)
-    new = dataclasses.replace(
+    new = with_parts(
         told.guard,
         expected_position=base,
         plan_position=np.asarray(told.guard.plan_position) + shift,
     )
     if told.guard.observed is not None:
         observed = told.guard.observed
-        new = dataclasses.replace(
+        new = with_parts(
             new,
-            observed=dataclasses.replace(observed, expected_position=np.asarray(observed.expected_position) + shift),
+            observed=with_parts(observed, expected_position=np.asarray(observed.expected_position) + shift),
         )
-    return told._replace(guard=new, estimate=dataclasses.replace(told.estimate, position=base))
+    return told._replace(guard=new, estimate=with_parts(told.estimate, position=base))
 
 
 def _hurried(told: State, by: np.ndarray) -> State:
     """Add to all velocities of a state, m/s."""
-    new = dataclasses.replace(
+    new = with_parts(
         told.guard,
         expected_velocity=np.asarray(told.guard.expected_velocity) + by,
         plan_velocity=np.asarray(told.guard.plan_velocity) + by,
@@ -182,9 +181,9 @@ def _hurried(told: State, by: np.ndarray) -> State:
     if told.guard.observed is not None:
         observed = told.guard.observed
         pace = np.asarray(observed.expected_velocity) + by
-        new = dataclasses.replace(new, observed=dataclasses.replace(observed, expected_velocity=pace))
+        new = with_parts(new, observed=with_parts(observed, expected_velocity=pace))
     pace = np.asarray(told.guard.expected_velocity) + by
-    return told._replace(guard=new, estimate=dataclasses.replace(told.estimate, velocity=pace))
+    return told._replace(guard=new, estimate=with_parts(told.estimate, velocity=pace))
 
 
 class Directed:

@@ -4,10 +4,10 @@ Each random step starts from Python's memory, put into the C code's, so that dif
 wrong, jump, are no numbers or are far away. Closed loops are each on its own.
 """
 
-import dataclasses
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -107,7 +107,7 @@ class Flights:
         places = rng.normal(size=(FLIGHTS, 3))
         places *= rng.uniform(1.0, 14.0, (FLIGHTS, 1)) / np.linalg.norm(places, axis=1)[:, None]
         speeds = rng.normal(0, 0.03, (FLIGHTS, 3))
-        return dataclasses.replace(start, position=jnp.asarray(places), velocity=jnp.asarray(speeds))
+        return with_parts(start, position=jnp.asarray(places), velocity=jnp.asarray(speeds))
 
     def random(self, steps: int, rng: np.random.Generator) -> Iterator[Step]:
         """Fly random steps."""
@@ -133,7 +133,7 @@ class Flights:
         initial = self.made.mission.initial
         start = jax.tree.map(lambda a: jnp.broadcast_to(a, (FLIGHTS, *jnp.shape(a))), initial)
         moved = np.asarray(start.position) + rng.uniform(-1.0, 1.0, (FLIGHTS, 3))
-        start = dataclasses.replace(start, position=jnp.asarray(moved))
+        start = with_parts(start, position=jnp.asarray(moved))
         return start, rng.uniform(-0.002, 0.002, (FLIGHTS, 3))
 
     def under(self, state: Any, pushes: np.ndarray) -> Iterator[Any]:
@@ -144,6 +144,11 @@ class Flights:
             yield state
 
 
+def with_parts(batch: Any, **parts: Any) -> Any:
+    """Give a batch of values with other parts; made anew, one would ask each part for the shape of a single value's."""
+    return eqx.tree_at(lambda one: tuple(getattr(one, name) for name in parts), batch, tuple(parts.values()))
+
+
 def told(state: Any, rng: np.random.Generator) -> Any:
     """Give wrong estimates of states."""
     count = len(state.position)
@@ -151,7 +156,7 @@ def told(state: Any, rng: np.random.Generator) -> Any:
     position += rng.normal(0, 0.5, (count, 3)) * (rng.random((count, 1)) < 0.03)
     position = jnp.where(rng.random((count, 1)) < 0.01, position * 10.0 ** rng.uniform(0, 300, (count, 1)), position)
     position = jnp.where(rng.random((count, 1)) < 0.01, jnp.nan, position)
-    return dataclasses.replace(state, position=position, velocity=state.velocity + rng.normal(0, 3e-4, (count, 3)))
+    return with_parts(state, position=position, velocity=state.velocity + rng.normal(0, 3e-4, (count, 3)))
 
 
 class Compared(NamedTuple):
@@ -262,7 +267,7 @@ def pulsed_loops(flown: Exported, flights: Flights, steps: int) -> tuple[float, 
 
     """
     start, pushes = flights.begun(np.random.default_rng(2))
-    beside = dataclasses.replace(start, position=np.nextafter(np.asarray(start.position), np.inf))
+    beside = with_parts(start, position=np.nextafter(np.asarray(start.position), np.inf))
     state = estimates_of(start)
     memory = flown.code.begin(state)
     early, together = 0.0, zip(flights.under(start, pushes), flights.under(beside, pushes), strict=True)

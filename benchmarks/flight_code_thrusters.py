@@ -11,10 +11,10 @@ import jax
 import numpy as np
 from compiled_step import memory_type
 from flight_code_missions import Exported
-from flight_code_states import GIVEN, apart, fired, given_of
+from flight_code_states import GIVEN, apart, fired, given_of, with_parts
 from flight_code_stored import of_thrusters
 
-from keepout.flights.thrusters.on_off import OnOffThrusters, ThrusterMemory
+from keepout.flights.thrusters.on_off import OnOffThrusters
 
 HALVES, STORED = 60, 7
 SIDES = (0, 1, -1, 3, -8)
@@ -108,8 +108,10 @@ class _Asked:
         held, told = before.copy(), before["thrusters"]
         by_c = given_of(self.flown.code.fire(held, force))
         count, push = len(force), np.asarray(self.thrusters.push)
-        periods = np.zeros(count, np.int32)
-        memory = ThrusterMemory(periods, np.broadcast_to(push, (count, *push.shape)), told["owed"], told["tail"])
+        begun = self.thrusters.initial_state(jax.random.key(0))
+        begun = jax.tree.map(lambda part: np.broadcast_to(part, (count, *np.shape(part))), begun)
+        true = np.broadcast_to(push, (count, *push.shape))
+        memory = with_parts(begun, push=true, owed=told["owed"], tail=told["tail"])
         new, by_python = jax.tree.map(np.asarray, self._python(memory, force))
         after = before.copy()
         after["thrusters"]["owed"], after["thrusters"]["tail"] = new.owed, new.tail

@@ -1,6 +1,5 @@
 """The exported C: what it refuses, and that compiled it answers as Python does, to rounding, statuses and all."""
 
-import dataclasses
 import os
 import re
 import shutil
@@ -15,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flight_code_states import with_parts
 from truths import boxes, long_fields
 from truths.command_line import keepout_command
 
@@ -188,7 +188,7 @@ def test_steps_answer_as_python_does_whatever_is_told(made: Coded, folder: Path)
     places = rng.normal(size=(count, 3))
     places *= rng.uniform(1.0, 14.0, (count, 1)) / np.linalg.norm(places, axis=1)[:, None]
     speeds = jnp.asarray(rng.normal(0, 0.03, (count, 3)))
-    state = dataclasses.replace(start, position=jnp.asarray(places), velocity=speeds)
+    state = with_parts(start, position=jnp.asarray(places), velocity=speeds)
     memory = jax.jit(jax.vmap(lambda e: loop.memories(setup, e)))(state)
 
     @jax.jit
@@ -211,9 +211,9 @@ def test_steps_answer_as_python_does_whatever_is_told(made: Coded, folder: Path)
         wrong = rng.uniform(-1.0, 1.0, (2, count, 3)) * np.array([0.02, 1e-3])[:, None, None]
         wrong[0] += rng.normal(0, 0.5, (count, 3)) * (rng.random((count, 1)) < 0.05)
         wrong[0, rng.random(count) < 0.03] = np.nan
-        estimate = dataclasses.replace(state, position=state.position + wrong[0], velocity=state.velocity + wrong[1])
+        estimate = with_parts(state, position=state.position + wrong[0], velocity=state.velocity + wrong[1])
         far = jnp.asarray(10.0 ** rng.uniform(0, 250, (count, 1)) * (rng.random((count, 1)) < 0.03))
-        estimate = dataclasses.replace(estimate, position=jnp.where(far > 0, far, estimate.position))
+        estimate = with_parts(estimate, position=jnp.where(far > 0, far, estimate.position))
         order = code.step(told, compiled_step.estimates_of(estimate))
         memory, (force, answer, status), state = step(memory, estimate, state)
         np.testing.assert_array_equal(order["guard_status"], status)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from truths.browser import shown, slide
 from truths.command_line import keepout_command
 from truths.passing import STEPS, box_scenario, pass_record
 
+from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.zones import regions
@@ -161,7 +162,7 @@ def test_figures_have_a_line_where_a_leg_begins(folder, scenario, record, monkey
     drawn = []
     monkeypatch.setattr("matplotlib.axes.Axes.axvline", lambda axes, x, **_: drawn.append(x))
     clearance = np.zeros(STEPS + 1)
-    flight = SimpleNamespace(record=record, scenario=scenario, clearance=clearance)
+    flight = Mock(spec=Flight, record=record, scenario=scenario, clearance=clearance)
     draw_error(folder / "error.png", flight)
     draw_motion(folder / "motion.png", flight)
     assert drawn == 2 * [0.0, float(CHANGED)]

@@ -340,7 +340,7 @@ def stored_steps(made: Coded) -> tuple[list[MotionState], list[Answer]]:
     for number in range(STEPS):
         noise = rng.uniform(-0.5, 0.5, (2, 3)) * [[entry.position_error], [entry.velocity_error]] * (number > 0)
         noise[0] += 0.5 if number == _JUMP else 0.0
-        estimate = state.moved(*noise)
+        estimate = state.moved(*jnp.asarray(noise))
         if number in _BLIND:
             estimate = dataclasses.replace(estimate, position=jnp.full(3, jnp.nan))
         force = stepped(estimate)

@@ -285,7 +285,7 @@ def reach_of(guard: Guard) -> float:
 
 def _stop(a: GuardAssumptions, design: BrakingDesign) -> float:
     speed = float(a.speed_limit + a.velocity_error)
-    return speed**2 / (2.0 * design.deceleration) + speed * a.period
+    return float(speed**2 / (2.0 * design.deceleration) + speed * a.period)
 
 
 def _learned_radius(cont: RadialContinuation) -> float:

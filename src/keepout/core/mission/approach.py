@@ -11,6 +11,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -160,10 +161,9 @@ class LegPlan(GuidancePlan):
         assert isinstance(made, LegGuidance)
         limits = [leg.speed_limit or math.inf for leg in self.scenario.leg] or [math.inf]
         fastest = np.minimum(limits, speed)
-        own = dataclasses.replace(
-            made.own, speed=as_float64(fastest), slowing_length=as_float64(slowing_length * (fastest / speed))
-        )
-        return dataclasses.replace(made, own=own)
+        # Put into the tree, as arrays of several legs have another shape than those that one is made of.
+        again = as_float64(fastest), as_float64(slowing_length * (fastest / speed))
+        return eqx.tree_at(lambda legs: (legs.own.speed, legs.own.slowing_length), made, again)
 
     def identity(self, field: Field) -> tuple[Hashable, ...]:
         """Say what a guidance depends on beside field, offset, goal and start."""

@@ -231,7 +231,7 @@ def draw_error(path: Path, flight: Flight) -> None:
 def draw_motion(path: Path, flight: Flight) -> None:
     """Draw one flight's velocity, applied force and disturbance estimate, each by axis, into one PNG."""
     with figure(path, width=8.0, height=7.2) as drawing:
-        paint_motion(drawing.subplots(3, 1, sharex=True), flight.record, flight.scenario, flight.clearance)
+        paint_motion([*drawing.subplots(3, 1, sharex=True)], flight.record, flight.scenario, flight.clearance)
 
 
 def paint_motion(

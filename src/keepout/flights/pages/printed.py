@@ -122,10 +122,10 @@ class _Sheet:
         self._figure = self._open.enter_context(drawn(width=_WIDTH, height=_HEIGHT))
         self._figure.set_layout_engine("none")
         self._down = _MARGIN
-        self._write(self._title, 0.0, size=8, **_QUIET)
+        self._write(self._title, 0.0, size=8.0, **_QUIET)
         self._figure.text(0.5, 0.4 / _HEIGHT, str(self._pdf.get_pagecount() + 1), ha="center", fontsize=8)
         self._down += 0.3
-        self._write(heading, 0.0, size=16, weight="bold")
+        self._write(heading, 0.0, size=16.0, weight="bold")
         self._down += 0.4
 
     def _finish(self) -> None:
@@ -154,7 +154,7 @@ class _Sheet:
         """Add a heading."""
         self._room(4.0 * _LINE)
         self._down += 0.12
-        self._write(words, 0.0, size=11, weight="bold")
+        self._write(words, 0.0, size=11.0, weight="bold")
         self._down += 0.25
 
     def words(self, text: str, **look: Any) -> None:
