@@ -208,6 +208,23 @@ def test_several_refusals_are_told_at_once(target, model):
 
 
 @pytest.mark.long
+def test_what_a_campaign_varies_is_looked_at(target, model):
+    entries = {"chaser.mass": {"uniform": [-1.0, 22.0]}, "attitude.kind": {"choice": ["vvlh", "star"]}}
+    varied = straight(campaign={"dispersions": entries})
+    found = check(varied, target=target, model=model)
+    assert found.flies
+    assert "A campaign of 100 flights varies attitude.kind, chaser.mass (random)." in found.words
+    assert [remark.split(" are refused")[0] for remark in found.remarks if "campaign" in remark] == [
+        "runs of the campaign with attitude.kind = star",
+        "runs of the campaign with chaser.mass = -1.0",
+    ]
+    wrong = straight(campaign={"dispersions": {"chaser.mas": entries["chaser.mass"]}})
+    refused = check(wrong, target=target, model=model)
+    assert not refused.flies
+    assert "chaser.mas: no such entry" in refused.refusals[0].said
+
+
+@pytest.mark.long
 def test_the_command_says_it_and_fails(tmp_path):
     path = tmp_path / "fast.toml"
     path.write_text("[chaser]\nspeed_limit = 0.5\n", encoding="utf-8")

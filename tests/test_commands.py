@@ -58,6 +58,13 @@ field.source = "box.keepout"
 start.position = {list(START)}
 goal.position = {list(GOAL)}
 """
+QUARTER_TURN = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+TURNED = f"""
+target = {{source = "box", rotation = {QUARTER_TURN}}}
+field.source = "second.keepout"
+chaser.radius = 0.4
+"""
+"""A mission whose field is not there yet."""
 RUNS = 3
 DRAWN = f"""
 name = "drawn"
@@ -111,7 +118,8 @@ main()
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("commands")
-    for name, text in (("mission", MISSION), ("drawn", DRAWN), ("explore", EXPLORE), ("inspect", INSPECT)):
+    files = {"mission": MISSION, "turned": TURNED, "drawn": DRAWN, "explore": EXPLORE, "inspect": INSPECT}
+    for name, text in files.items():
         (folder / f"{name}.toml").write_text(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -197,9 +205,9 @@ def test_the_module_runs_as_a_program():
 
 
 def test_describe(folder):
-    summary = keepout_process(folder, "describe", "box", "-o", "mesh", "--json")
+    summary = keepout_process(folder, "describe", "turned.toml", "-o", "mesh", "--json")
     assert (summary["watertight"], summary["triangles"], summary["warnings"]) == (True, 12, [])
-    assert summary["extents"] == pytest.approx(list(2.0 * HALF))
+    assert summary["extents"] == pytest.approx(list(2.0 * HALF[[1, 0, 2]]))
     check_picture(folder / "mesh" / "box.png")
 
 
@@ -227,9 +235,11 @@ def test_a_fit_is_certified_in_the_same_command_and_no_search_beats_it(folder, f
 
 
 def test_a_fit_begins_with_another_field_and_ends_at_the_bound(folder, fitted):
-    command = ("fit", "box", "-o", "second.keepout", *CHOSEN, "--from", "box.keepout", "--until-bound", 10.0)
+    command = ("fit", "turned.toml", "-o", "second.keepout", *CHOSEN, "--from", "box.keepout", "--until-bound", 10.0)
     said = keepout_process(folder, *command, "--at-most", 600, "--json", program=ROUGH)
-    training = FieldModel.load(folder / "second.keepout", target=Target.load("box")).training
+    turned = Target.load("box", rotation=QUARTER_TURN)
+    training = FieldModel.load(folder / "second.keepout", target=turned).training
+    assert training["chaser_radius"] == 0.4
     assert said["ended"] == training["ended"] == "bound"
     assert said["sampled_maximum_m"] <= 10.0
     assert (training["numbers"]["steps"], training["numbers"]["tuning_steps"]) == (0, 250)

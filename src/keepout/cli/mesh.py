@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from keepout.cli import options
-from keepout.cli.options import AsJson, ChaserRadius, MeshFile, Seed, app, example, grouped, into
+from keepout.cli.options import AsJson, ChaserRadius, MeshFile, Seed, app, example, from_zero, grouped, into
 from keepout.core.errors import FieldError
 from keepout.core.progress import Progress, part_of
 from keepout.core.whole_file import require_place
@@ -17,9 +17,25 @@ from keepout.flights.pages import terminal
 if TYPE_CHECKING:
     from keepout.core.mission.entries import TargetEntry
 
-Mesh = Annotated[str, typer.Argument(help="A mesh file, a map (.keepmap), or a built-in target.")]
+Mesh = Annotated[str, typer.Argument(help="A mesh file, a map (.keepmap), a built-in target, or a mission's target.")]
 WhereMesh = Annotated[str | None, typer.Option(help="The mesh, if it is not where `fit` found it.")]
 DrawnInto = Annotated[Path | None, into("Also draw it into this folder.")]
+_RADIUS = 0.5
+"""Of the chaser that a mesh is learned for where nothing says another, m."""
+
+
+def _read(mesh: str, read: MeshFile) -> tuple["TargetEntry", float]:
+    """Make the entry `[target]` of a mesh, or read it in a mission, with its chaser's radius (m)."""
+    if not mesh.lower().endswith(".toml"):
+        return read.entry(mesh), _RADIUS
+    from keepout.core.mission.first_look import require_mesh
+    from keepout.core.mission.scenario import Scenario
+    from keepout.verbs.meshes import mesh_entry
+
+    scenario = Scenario.load(mesh)
+    entry = mesh_entry(scenario, **{name: of or None for name, of in vars(read).items()})
+    require_mesh(entry.source)
+    return entry, scenario.chaser.radius
 
 
 @app.command(epilog=example("keepout targets", "keepout targets --pictures out/targets"))
@@ -68,7 +84,7 @@ def describe_targets(pictures: Path | None, progress: Progress) -> list[dict[str
     epilog=example(
         "keepout describe satellite.glb --units m -o out/satellite",
         "keepout describe out/explore/map.keepmap",
-        "keepout describe intelsat30",
+        "keepout describe mission.toml -o out/target",
     )
 )
 @grouped
@@ -77,7 +93,7 @@ def describe(mesh: Mesh, *, out: DrawnInto = None, read: MeshFile, seed: Seed = 
     if mesh.endswith(".keepout"):
         raise typer.BadParameter(f"{mesh} is a field; `keepout measure {mesh}` measures it against its mesh")
     with terminal.progress(f"describe {mesh}") as progress:
-        entry = read.entry(mesh)
+        entry, _ = _read(mesh, read)
         from keepout.verbs.meshes import describe as described
 
         summary = described(entry, out=out, progress=progress)
@@ -90,6 +106,7 @@ def describe(mesh: Mesh, *, out: DrawnInto = None, read: MeshFile, seed: Seed = 
         "keepout fit satellite.stl --units mm --certify -o satellite.keepout",
         "keepout fit out/explore/map.keepmap --certify -o debris.keepout",
         "keepout fit satellite.glb --units m --until-bound 0.0 --at-most 300 -o satellite.keepout",
+        "keepout fit mission.toml --certify -o satellite.keepout",
     )
 )
 @grouped
@@ -105,7 +122,9 @@ def fit(
         ),
     ] = "default",
     batch: Annotated[int | None, typer.Option(help="Points a step, instead of the profile's.")] = None,
-    chaser_radius: ChaserRadius = 0.5,
+    chaser_radius: Annotated[
+        float | None, from_zero("Of the ball that holds the chaser, m; unset: a mission's own, else 0.5.")
+    ] = None,
     certify: Annotated[bool, typer.Option("--certify", help="Then `certify` it.")] = False,
     first: Annotated[
         Path | None,
@@ -125,7 +144,8 @@ def fit(
     A killed run resumes from its last checkpoint when started again.
     """
     with terminal.progress(f"fit {mesh}") as progress:
-        entry = read.entry(mesh)
+        entry, radius = _read(mesh, read)
+        radius = radius if chaser_radius is None else chaser_radius
         from keepout.core.fields.model import FieldModel
         from keepout.core.learning.losses import find_profile
 
@@ -135,13 +155,13 @@ def fit(
         options.require_file(out, ".keepout", "a field file", refusal=FieldError)
         part = part_of(progress, 0.0, 0.9) if certify else progress
         begun = None if first is None else FieldModel.load(first)
-        settings = {"profile": numbers, "chaser_radius": chaser_radius, "seed": seed, "first": begun}
+        settings = {"profile": numbers, "chaser_radius": radius, "seed": seed, "first": begun}
         settings |= {"until_bound": until_bound, "at_most": at_most}
         summary = {**_fitted(entry, out, settings, part), "profile": profile, "seed": seed}
         proof: dict[str, Any] = {}
         if certify:
             part = part_of(progress, 0.9, 1.0)
-            proof["certificate"] = _certified(out, chaser_radius, seed=seed, progress=part)
+            proof["certificate"] = _certified(out, radius, seed=seed, progress=part)
     tables = [terminal.facts_table(title.capitalize(), of) for title, of in {"fit": summary, **proof}.items()]
     options.answer(summary | proof, as_json, *tables)
 
@@ -178,7 +198,7 @@ def _fitted(entry: "TargetEntry", out: Path, settings: Mapping[str, Any], progre
 )
 def certify(
     field: Annotated[Path, typer.Argument(help="A field file (.keepout), which gets the certificate.")],
-    chaser_radius: ChaserRadius = 0.5,
+    chaser_radius: ChaserRadius = _RADIUS,
     prove_slope: Annotated[bool, typer.Option("--prove-slope", help="Prove a bound of ‖∇f̃‖ too: minutes.")] = False,
     check: Annotated[
         bool,

@@ -21,7 +21,7 @@ from keepout.core.control.controller import Controller
 from keepout.core.control.law import AheadOfDelay, Condition
 from keepout.core.control.legs import LegLaw
 from keepout.core.control.profiles import ControlWarning, drift_bound, tune
-from keepout.core.errors import KeepoutError, KeepOutZoneError
+from keepout.core.errors import KeepoutError, KeepOutZoneError, ScenarioError
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.faults import BrokenLaw
@@ -38,6 +38,8 @@ from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.campaign.dispersion import design as campaign_design
+from keepout.flights.campaign.dispersion import refused_values
 from keepout.flights.pages.mission_words import in_words
 from keepout.flights.pages.page import bracketed
 
@@ -244,7 +246,7 @@ class Check:
 
     @property
     def flies(self) -> bool:
-        """Whether `keepout fly` would fly it."""
+        """Whether `keepout fly` would fly it, and `keepout campaign` draw its runs."""
         return not self.refusals
 
     def summary(self) -> dict[str, Any]:
@@ -281,7 +283,7 @@ def check(
 ) -> Check:
     """Find out what flying a scenario would mean.
 
-    Refusals of the numbers, of the places and of the field are looked for one after the other, so that several are told
+    Refusals of the dispersions, of the numbers, of the places and of the field are looked for one after the other, so that several are told
     at once; the law and the guard are built only where none of these is found.
 
     Args:
@@ -301,6 +303,10 @@ def check(
     words = in_words(scenario, target)
     broken = broken_assumptions(scenario, target) if _bounded(scenario) else ()
     found: list[Refusal] = []
+    varied, unusable = _varied(scenario)
+    words += varied
+    if unusable is not None:
+        found.append(Refusal(unusable))
     progress(0.1, "numbers")
     refused = number_refusal(scenario, target)
     if refused is not None:
@@ -341,8 +347,20 @@ def check(
         start_certified=mission.start_certified,
         assumptions_broken=broken,
         expected=estimate,
-        remarks=_remarks(mission, estimate),
+        remarks=(*_remarks(mission, estimate), *(refused_values(scenario, campaign_design(scenario)) if varied else ())),
     )
+
+
+def _varied(scenario: Scenario) -> tuple[tuple[str, ...], str | None]:
+    """Say what a campaign of the scenario varies, if it says so itself; or why it could not."""
+    entry = scenario.campaign
+    if not entry.dispersions:
+        return (), None
+    try:
+        campaign_design(scenario)
+    except ScenarioError as refusal:
+        return (), str(refusal)
+    return (f"A campaign of {entry.runs} flights varies {', '.join(sorted(entry.dispersions))} ({entry.sampling}).",), None
 
 
 def _prepared(scenario: Scenario, target: Target, model: FieldModel, progress: Progress = silent) -> Mission:

@@ -151,6 +151,22 @@ def design(scenario: Scenario) -> Design:
     return Design(made, entry.sampling, scenario.seed, entry.runs)
 
 
+def refused_values(scenario: Scenario, design: Design) -> tuple[str, ...]:
+    """Say which ends and choices of a campaign's dispersions no scenario can have, and why: runs with them are refused.
+
+    Each is tried alone and as an entry: what the law or the mesh would refuse is not looked for.
+    """
+    said = []
+    for one in design.dispersions:
+        ends = np.repeat([[0.0], [1.0]], one.dimensions, axis=1)
+        for value in map(_plain, one.values.of if isinstance(one.values, _Choice) else one.values(ends)):
+            try:
+                with_entries(scenario, {one.name: value})
+            except KeepoutError as error:
+                said.append(f"runs of the campaign with {one.name} = {value} are refused: {error}")
+    return tuple(said)
+
+
 def entry_kind(name: str) -> Kind:
     """Say what an entry holds: a `number`, a `vector` of three, or something `other`, such as a word.
 

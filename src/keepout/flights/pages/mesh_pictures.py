@@ -39,6 +39,7 @@ PATHS_FROM = ((22.0, -60.0), (12.0, 8.0))
 _SURFACE_FROM = {"above": (28.0, -55.0), "below": (-28.0, 125.0)}
 _NODES = 400
 """Along a slice's longer side."""
+_AXES_COLOUR = COLOURS[1]
 _PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 """Horizontal axis, vertical axis, and the axis that the slice is across."""
 
@@ -242,10 +243,21 @@ def _finely(path: Float[np.ndarray, "samples 3"], step: float) -> Float[np.ndarr
 
 
 def draw_target(path: Path, target: Target) -> None:
-    """Draw four shaded views of a target into one PNG."""
+    """Draw four shaded views of a target into one PNG, each with the body frame's axes from its origin."""
+    length = 0.3 * float(np.ptp(target.vertices, axis=0).max())
     with figure(path, width=11.0, height=8.0) as drawing:
         for axes, (name, side) in zip(drawing.subplots(2, 2).flat, _FOUR_SIDES.items()):
-            paint_target(axes, target, eye_axes(*side))
+            eye = eye_axes(*side)
+            paint_target(axes, target, eye)
+            limits = np.array([axes.get_xlim(), axes.get_ylim()])
+            for letter, along in zip("xyz", eye[:2].T):
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    to_the_edge = float(np.nanmin(np.max(limits / along[:, None], axis=1)))
+                if np.hypot(*along) < 0.01 or to_the_edge < 0.0:
+                    continue  # it points at the eye or away from it, or its origin is not in the picture
+                flat = min(length, 0.8 * to_the_edge) * along
+                axes.annotate("", flat, (0.0, 0.0), arrowprops={"arrowstyle": "->", "color": _AXES_COLOUR})
+                axes.annotate(letter, 1.12 * flat, color=_AXES_COLOUR, ha="center", va="center", weight="bold")
             axes.set_title(f"{target.name}, {name}")
 
 
