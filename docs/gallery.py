@@ -106,6 +106,7 @@ GALLERY_PAGES = {
     "own_thrusters": _own("own_thrusters", "Thrusters of your own", "plot", seen=_PATH),
     "tune_gain": _own("tune_gain", "A gain tuned by the flight's derivative"),
     "paper_step": _own("paper_step", "The paper's control step in NumPy"),
+    "compare_laws": _own("compare_laws", "Laws on the same pairs"),
     "learn_a_policy": Example(
         "Learn a policy behind the guard",
         ("learn_a_policy.py",),

@@ -115,7 +115,8 @@ def full_covers() -> list[str]:
 def public_inspection() -> list[str]:
     """Give the public inspection task of act3 by both readings."""
     words = [
-        "`python benchmarks/act3_inspection.py`; discussed in [Reproduce the paper](reproduce.md). Δv "
+        "`python benchmarks/act3_inspection.py`; its plan knows points and sun beforehand, as a learned "
+        "controller does not. Δv "
         "and time are medians.",
         *note("act3_inspection"),
     ]

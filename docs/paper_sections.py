@@ -68,7 +68,8 @@ def training() -> list[str]:
         "[Reproduce the paper](reproduce.md). The paper's network has 10 layers of 512, its set 50,000 points; the "
         "smaller network has its loss, rate and number of halvings. Terms of the loss are means over the last tenth of "
         "the steps. ε, ε₊ and e_h are those of Table I. Lengths are in units of the ball that is learned; the last "
-        "ratios are to what is printed, read in that unit.",
+        "ratios are to what is printed, read in that unit. With all 50,000 points a step, not 2048, errors come near "
+        "or below those printed.",
         *note("training"),
     ]
     rows = []

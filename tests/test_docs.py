@@ -144,7 +144,7 @@ def test_the_pages_stay_few_and_short():
     assert sum(page.stat().st_size for page in pages) <= MOST_BYTES
 
 
-MOST_PAGES, MOST_BYTES = 26, 206_500
+MOST_PAGES, MOST_BYTES = 26, 200_000
 
 KEYS_MADE = {
     "core/mission/flight.py": ("summary", "_approach_figures", "navigation_figures"),
@@ -249,7 +249,8 @@ def test_the_python_of_a_page_compiles_and_names_what_there_is(page: Path):
 
 def test_the_reference_has_every_public_name():
     stub = (REPOSITORY / "src" / "keepout" / "__init__.pyi").read_text(encoding="utf-8")
-    public = {f"keepout.{module}.{name}" for module, name in re.findall(r"from \.(\S+) import (\w+) as", stub)}
+    public = {f"keepout.{name}" for name in re.findall(r"import (\w+) as", stub)}
+    public.add("keepout.apps.gym.environment.ApproachEnv")  # which Gymnasium makes
     page = (DOCS / "python.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^::: (\S+)$", page, flags=re.MULTILINE)) == public
 

@@ -17,8 +17,6 @@ QUICK = {"docs/my-mesh.md"}
 QUICKER = {
     "docs/reproduce.md": [
         ("duration=300.0", "duration=240.0"),
-        ("duration=500.0", "duration=60.0"),
-        ("runs, good = 20,", "runs, good = 1,"),
     ],
     "docs/my-mesh.md": [
         ('keepout.fit("mission.toml", certify=True, out="satellite.keepout")', 'keepout.load_shipped("intelsat30")')

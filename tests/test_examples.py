@@ -116,6 +116,13 @@ def test_a_gain_tuned_by_the_flights_derivative():
     assert abs(np.log(gains[-1] / gains[-2])) < 0.02
 
 
+@pytest.mark.slow
+def test_laws_on_the_same_pairs():
+    good = example("compare_laws").main(3)
+    assert good["default"] == [True, True, True]
+    assert len(good["paper"]) == len(good["own"]) == 3
+
+
 def test_the_error_bound_of_a_stated_field_is_one():
     """Against points at distance R of the box by closed form."""
     field = keepout.stated_field(example("own_field").ellipsoid, 1.0, lower=[-8.0] * 3, upper=[8.0] * 3)

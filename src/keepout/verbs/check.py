@@ -283,8 +283,8 @@ def check(
 ) -> Check:
     """Find out what flying a scenario would mean.
 
-    Refusals of the dispersions, of the numbers, of the places and of the field are looked for one after the other, so that several are told
-    at once; the law and the guard are built only where none of these is found.
+    Refusals of the dispersions, of the numbers, of the places and of the field are looked for one after the other, so
+    that several are told at once; the law and the guard are built only where none of these is found.
 
     Args:
         scenario: what would be flown: a `Scenario`, the path of its TOML file, or its tables as a dict.
@@ -347,7 +347,10 @@ def check(
         start_certified=mission.start_certified,
         assumptions_broken=broken,
         expected=estimate,
-        remarks=(*_remarks(mission, estimate), *(refused_values(scenario, campaign_design(scenario)) if varied else ())),
+        remarks=(
+            *_remarks(mission, estimate),
+            *(refused_values(scenario, campaign_design(scenario)) if varied else ()),
+        ),
     )
 
 
@@ -360,7 +363,9 @@ def _varied(scenario: Scenario) -> tuple[tuple[str, ...], str | None]:
         campaign_design(scenario)
     except ScenarioError as refusal:
         return (), str(refusal)
-    return (f"A campaign of {entry.runs} flights varies {', '.join(sorted(entry.dispersions))} ({entry.sampling}).",), None
+    return (
+        f"A campaign of {entry.runs} flights varies {', '.join(sorted(entry.dispersions))} ({entry.sampling}).",
+    ), None
 
 
 def _prepared(scenario: Scenario, target: Target, model: FieldModel, progress: Progress = silent) -> Mission:
