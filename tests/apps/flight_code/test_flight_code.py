@@ -200,7 +200,7 @@ def test_steps_answer_as_python_does_whatever_is_told(made: Coded, folder: Path)
 
     sent = rng.uniform(-0.05, 0.05, (8, 3))
     begun = code.begin(compiled_step.estimates_of(state), sent)
-    meant = jax.jit(jax.vmap(lambda e: loop.memories(setup, e, under_way=sent)))(state)
+    meant = jax.jit(jax.vmap(lambda e: loop.memories(setup, e, under_way=jnp.asarray(sent))))(state)
     told = compiled_step.memories_of(made, *meant)
     for part in told.dtype.names or ():
         for name in told[part].dtype.names:

@@ -170,7 +170,7 @@ class Pace:
         step = min(self._steps[-3:])
         hunt = min(self._hunts[-3:], default=_HUNT * step)
         places = range(first, self.blocks)
-        return sum(step * self._lengths[n] + hunt * (phase_of(self.profile, n) > 0) for n in places)
+        return math.fsum(step * self._lengths[n] + hunt * (phase_of(self.profile, n) > 0) for n in places)
 
     def found(self, worst: float, place: int) -> None:
         """Take in the largest over-statement that a hunt before a block, or after the last, found, m."""
