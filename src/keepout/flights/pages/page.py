@@ -38,7 +38,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _STYLE = """
 :root{--ink:#1c2430;--quiet:#5c6675;--line:#d5dae0;--raised:#f3f5f7}*{box-sizing:border-box}
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:0 auto;padding:1.5em 1em;color:var(--ink)}
-h1{margin:0 0 .4em;line-height:1.2}h2{display:inline;font-size:1.3em}
+h1{margin:0 0 .4em;line-height:1.2}h1,p{overflow-wrap:anywhere}h2{display:inline;font-size:1.3em}
 .verdict{margin:0;padding:.5em .8em;border-left:5px solid #b58a00;background:#fbf5e1;font-weight:600}
 .verdict.good{border-color:#00845f;background:#e4f4ee}.verdict.bad{border-color:#b00020;background:#fbe7ea}
 .theorem{margin:0 0 1em;padding:.2em .8em .5em;border-left:5px solid var(--line)}
