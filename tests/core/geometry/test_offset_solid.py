@@ -146,6 +146,7 @@ def test_reachable_up_to_the_surface_from_outside_and_nowhere_inside():
     depth = distance_to_box(points, lower, upper)
     points, depth = points[np.abs(depth) > 1e-6], depth[np.abs(depth) > 1e-6]
     reachable = solid.is_reachable(points)
+    np.testing.assert_array_equal(solid.is_reachable(points, solid.distance.distance(points)), reachable)
     assert reachable[depth > 0.0].all()
     # A walk from within a millimetre of a surface starts on either side of it.
     assert not reachable[depth < -2e-3].any()

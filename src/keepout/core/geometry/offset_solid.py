@@ -24,6 +24,9 @@ _FLOOD_CELLS = 5.0
 _ASIDE, _WALK, _STRIDE = 1e-3, 24, 0.95
 """Metres that a walk from a surface starts aside of it; its steps; and what share of the distance to the nearest
 surface a step may take: less than all, so that no walk passes through one."""
+_PATIENCE, _CLIMB = 6, 1.02
+"""Steps in which a walk must come so many times as far from every surface, or it is in a gap, and ends. Single steps
+may climb less, where they cross from the one wall of a corner to the other."""
 
 _UNDECIDED, _FREE, _HIDDEN = 0, 1, 2
 _STEPS = 64
@@ -105,13 +108,18 @@ class OffsetSolid:
         progress(1.0, f"{int(hidden.sum())} hidden cells")
         return cls(distance, offset, closing_radius, cells, hidden)
 
-    def is_exterior(self, points: Points) -> Bool[np.ndarray, "n"]:
-        """Whether each point can be reached from outside: True where the signed distance is positive."""
+    def is_exterior(self, points: Points, d: Float[np.ndarray, "n"] | None = None) -> Bool[np.ndarray, "n"]:
+        """Whether each point can be reached from outside: True where the signed distance is positive.
+
+        Args:
+            points: (n, 3) metres.
+            d: `distance` there, metres, where that is known; else it is asked.
+
+        """
         points = np.ascontiguousarray(points, dtype=np.float64)
         cell = self._cells.locate(points)
-        unhidden = (cell < 0) | ~self._hidden[cell]
-        exterior = np.zeros(len(points), dtype=bool)
-        exterior[unhidden] = self.distance.distance(points[unhidden]) > self.offset
+        exterior = (cell < 0) | ~self._hidden[cell]
+        exterior[exterior] = (self.distance.distance(points[exterior]) if d is None else d[exterior]) > self.offset
         return exterior
 
     def signed_distance(self, points: Points, d: Float[np.ndarray, "n"] | None = None) -> Float[np.ndarray, "n"]:
@@ -132,27 +140,36 @@ class OffsetSolid:
         signed[outside] = self._hiding.nearest(True, points[outside], signed[outside])
         return signed
 
-    def is_reachable(self, points: Points) -> Bool[np.ndarray, "n"]:
+    def is_reachable(self, points: Points, d: Float[np.ndarray, "n"] | None = None) -> Bool[np.ndarray, "n"]:
         """Whether a walk up the distance from each point, of `envelope` at most, comes out into the exterior.
 
         True for the exterior, and for what lies between it and the surface beside it: the skin of thickness `offset`
         and the cells that cover it. From a point on a surface the walk goes to both sides.
+
+        Args:
+            points: (n, 3) metres.
+            d: `distance` there, metres, where that is known; else it is asked.
+
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
-        reachable = self.is_exterior(points)
-        undecided = np.flatnonzero(~reachable)
-        d = self.distance.distance(points[undecided])
-        undecided, d = undecided[d < self.envelope], d[d < self.envelope]
+        d = self.distance.distance(points) if d is None else d
+        reachable = self.is_exterior(points, d)
+        undecided = np.flatnonzero(~reachable & (d < self.envelope))
+        d = d[undecided]
         # Away from the nearest surface; on a surface, to the one side and, where that leads nowhere, to the other.
         aside = np.random.default_rng(0).normal(size=(len(undecided), 3))
         aside *= (_ASIDE * (d < _ASIDE) / np.linalg.norm(aside, axis=1))[:, None]
         for side in (1.0, -1.0):
-            walkers, going = points[undecided] + side * aside, np.arange(len(undecided))
-            for _ in range(_WALK):
+            walkers, going, before = points[undecided] + side * aside, np.arange(len(undecided)), np.zeros(len(d))
+            for step in range(_WALK):
                 here, gradient = self.distance.distance_and_gradient(walkers[going])
                 stride = np.clip(1.1 * self.envelope - here, 0.0, _STRIDE * here)
                 walkers[going] += stride[:, None] * gradient
-                going = going[stride > 0.0]
+                on = stride > 0.0
+                if step % _PATIENCE == _PATIENCE - 1:
+                    on &= here > _CLIMB * before[going]
+                    before[going] = here
+                going = going[on]
             reachable[undecided] = self.is_exterior(walkers)
             again = ~reachable[undecided] & (d < _ASIDE)
             undecided, aside, d = undecided[again], aside[again], d[again]
@@ -248,8 +265,7 @@ def _walk(
     """Walk up the distance from the centres of some cells, by exact steps, until a cell of known fate; hidden if none.
 
     Each step stays in the ball of free space round the last point. A walk that comes to a cell whose own walk ends
-    higher than it began joins that one. A walk that climbs less than 2 % in six steps is in a gap to be sealed; single
-    steps may climb less, where they cross from the one wall of a corner to the other.
+    higher than it began joins that one. A walk that hardly climbs is in a gap to be sealed.
     """
     verdict = np.full(len(ends), _HIDDEN, dtype=np.int8)
     joined = ends.copy()
@@ -260,8 +276,8 @@ def _walk(
     for step in range(_STEPS):
         if len(active) == 0:
             break
-        if step % 6 == 0:
-            climbing = here > 1.02 * before
+        if step % _PATIENCE == 0:
+            climbing = here > _CLIMB * before
             active, p, gradient, here = active[climbing], p[climbing], gradient[climbing], here[climbing]
             before = here
         p = p + 0.95 * here[:, None] * gradient

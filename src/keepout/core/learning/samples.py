@@ -79,7 +79,7 @@ def label(solid: OffsetSolid, points: Points, *, whole_depth: bool = False) -> S
     points = points.astype(np.float32).astype(np.float64)
     d, gradient = solid.distance.distance_and_gradient(points)
     signed = solid.signed_distance(points, d)
-    reachable = solid.is_reachable(points)
+    reachable = solid.is_reachable(points, d)
     bare = np.where(
         signed > 0.0, np.minimum(d - solid.offset, signed + solid.envelope - solid.offset), d - solid.offset
     )
