@@ -11,6 +11,7 @@ from keepout.flights.one_kernel import compiled
 pytestmark = pytest.mark.as_used
 
 X = np.random.default_rng(0).normal(size=12)
+KEY = jax.random.key(3)
 MATRIX = 3.0 * np.eye(4) + 0.1
 
 IN_ONE = {
@@ -26,6 +27,7 @@ IN_ONE = {
     "scan": lambda x: jax.lax.scan(lambda total, y: (total + y, total * y), 0.0, x),
     "slice": lambda x: jax.lax.dynamic_slice(x, (jnp.asarray(jnp.abs(x[0]), int),), (3,)),
     "random": lambda x: x[:4] + jax.random.normal(jax.random.key(3), (4,)),
+    "random by a key given": lambda x: x[:4] + jax.random.normal(KEY, (4,)),
     "derivative": jax.grad(lambda x: jnp.sum(jax.nn.relu(x)) + jnp.max(x)),
 }
 NOT_IN_ONE = {

@@ -92,7 +92,8 @@ def written_out(function: Callable[..., Any]) -> Callable[..., Any]:
 def _joined(constants: Sequence[Any]) -> list[Any]:
     """Give constants, those of a few numbers as parts of one array a type; barriers keep XLA from taking it apart."""
     found = list(lax.optimization_barrier(tuple(constants)))
-    few = [place for place, constant in enumerate(constants) if 0 < constant.size <= _SMALL]
+    # A random key is no array of NumPy's.
+    few = [k for k, one in enumerate(constants) if isinstance(one.dtype, np.dtype) and one.size <= _SMALL]
     for kind in dict.fromkeys(constants[place].dtype for place in few):
         places = [place for place in few if constants[place].dtype == kind]
         whole = lax.optimization_barrier(np.concatenate([np.ravel(constants[place]) for place in places]))
@@ -110,17 +111,17 @@ def _evaluated(program: Jaxpr, constants: Sequence[Any], arguments: Sequence[Any
     return [v.val if isinstance(v, Literal) else known[v] for v in program.outvars]
 
 
-def _branch(branch: ClosedJaxpr, *operands: Any) -> list[Any]:
-    return _evaluated(branch.jaxpr, branch.consts, operands)
+def _called(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
+    return _evaluated(program.jaxpr, program.consts, arguments)
 
 
 def _applied(equation: JaxprEqn, values: list[Any]) -> Sequence[Any]:
     name, parameters = equation.primitive.name, equation.params
     if name in _INLINED:
-        return _branch(parameters[_INLINED[name]], *values)
+        return _called(parameters[_INLINED[name]], *values)
     if name == "cond":
         chosen, *operands = values
-        return lax.switch(chosen, [functools.partial(_branch, branch) for branch in parameters["branches"]], *operands)
+        return lax.switch(chosen, [functools.partial(_called, branch) for branch in parameters["branches"]], *operands)
     # Over nothing there is nothing to write out: the plain reduction is a constant.
     if name in _REDUCTIONS and 0 < math.prod(values[0].shape[axis] for axis in parameters["axes"]) <= FEW:
         return [_reduced(_REDUCTIONS[name], values[0], parameters["axes"])]
