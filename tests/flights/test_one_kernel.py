@@ -5,11 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from keepout.core.compiled.in_batches import where_needed
 from keepout.flights.one_kernel import compiled
 
 pytestmark = pytest.mark.as_used
 
 X = np.random.default_rng(0).normal(size=12)
+KEY = jax.random.key(3)
 MATRIX = 3.0 * np.eye(4) + 0.1
 
 IN_ONE = {
@@ -19,10 +21,13 @@ IN_ONE = {
     "all and any": lambda x: (jnp.all(x.reshape(3, 4) > 0.0, axis=1), jnp.any(x > 0.0)),
     "product of matrices": lambda x: jnp.asarray(MATRIX) @ x.reshape(4, 3),
     "branch": lambda x: jax.lax.cond(x[0] > 0.0, jnp.sin, jnp.cos, x),
+    "sums in a branch": lambda x: where_needed(lambda m, x: jnp.sum(m * x[:4]), x[0] > 0.0, x[1], MATRIX, x),
+    "constants": lambda x: (jnp.asarray(MATRIX) + x[:4]) * X[4:8] + jnp.asarray([1, 2])[jnp.asarray(x[0] > 0.0, int)],
     "loop": lambda x: jax.lax.while_loop(lambda y: jnp.sum(y * y) < 100.0, lambda y: 1.1 * y, x),
     "scan": lambda x: jax.lax.scan(lambda total, y: (total + y, total * y), 0.0, x),
     "slice": lambda x: jax.lax.dynamic_slice(x, (jnp.asarray(jnp.abs(x[0]), int),), (3,)),
     "random": lambda x: x[:4] + jax.random.normal(jax.random.key(3), (4,)),
+    "random by a key given": lambda x: x[:4] + jax.random.normal(KEY, (4,)),
     "derivative": jax.grad(lambda x: jnp.sum(jax.nn.relu(x)) + jnp.max(x)),
 }
 NOT_IN_ONE = {

@@ -1,11 +1,13 @@
 """A program of many small operations as one compiled kernel: the shortest time of a single call on a CPU.
 
 XLA runs a program as a row of kernels over a table of buffers. Where every array holds a few numbers, filling the table
-and going from kernel to kernel take several times as long as the arithmetic. Two rewrites, which leave the arithmetic
-alone, and its order too but for products of matrices:
+and going from kernel to kernel take several times as long as the arithmetic. Three rewrites, which leave the arithmetic
+alone, and its order too but for products of matrices, in the branches of conditions as well:
 
 - a sum, product, extreme or conjunction over a few elements becomes a row of binary operations: every reduction brings
   three buffers of its own, those of its binary function;
+- constants become parts of one: each is a buffer, which is allocated at every call, as is all that XLA would work out
+  from them beforehand;
 - the program becomes one call with the mark by which XLA:CPU knows its own outlined small loops, and is compiled in one
   piece. Where XLA does not know the mark, the program is as correct, and slower.
 """
@@ -17,14 +19,18 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
-from jax.extend.core import Jaxpr, JaxprEqn, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
 from keepout.core.compiled.xla import NO_LIBRARIES
 
 FEW = 16
 """Largest number of elements whose reduction is written out."""
+_SMALL = 64
+"""Largest number of elements of a constant that is put into one array with others."""
 
 _REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_sum": lax.add,
@@ -34,8 +40,17 @@ _REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_and": lax.bitwise_and,
     "reduce_or": lax.bitwise_or,
 }
-_INLINED = ("jit", "closed_call", "custom_jvp_call", "custom_vjp_call")
-"""Primitives that only call a program; what is differentiated has been differentiated by now."""
+_INLINED = {
+    "jit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+    "custom_vmap_call": "call",
+}
+"""Primitives that only call a program, and their parameter that holds it.
+
+What is differentiated or batched has been so by now.
+"""
 
 
 def compiled(function: Callable[..., Any], *arguments: Any) -> tuple[Callable[..., Any], bool]:
@@ -68,10 +83,24 @@ def written_out(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def rewritten(*args: Any) -> Any:
         program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-        leaves = _evaluated(program.jaxpr, program.consts, jax.tree.leaves(args))
+        leaves = _evaluated(program.jaxpr, _joined(program.consts), jax.tree.leaves(args))
         return jax.tree.unflatten(jax.tree.structure(shapes), leaves)
 
     return rewritten
+
+
+def _joined(constants: Sequence[Any]) -> list[Any]:
+    """Give constants, those of a few numbers as parts of one array a type; barriers keep XLA from taking it apart."""
+    found = list(lax.optimization_barrier(tuple(constants)))
+    # A random key is no array of NumPy's.
+    few = [k for k, one in enumerate(constants) if isinstance(one.dtype, np.dtype) and one.size <= _SMALL]
+    for kind in dict.fromkeys(constants[place].dtype for place in few):
+        places = [place for place in few if constants[place].dtype == kind]
+        whole = lax.optimization_barrier(np.concatenate([np.ravel(constants[place]) for place in places]))
+        parts = jnp.split(whole, np.cumsum([constants[place].size for place in places])[:-1])
+        for place, part in zip(places, parts, strict=True):
+            found[place] = part.reshape(constants[place].shape)
+    return found
 
 
 def _evaluated(program: Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
@@ -82,14 +111,20 @@ def _evaluated(program: Jaxpr, constants: Sequence[Any], arguments: Sequence[Any
     return [v.val if isinstance(v, Literal) else known[v] for v in program.outvars]
 
 
+def _called(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
+    return _evaluated(program.jaxpr, program.consts, arguments)
+
+
 def _applied(equation: JaxprEqn, values: list[Any]) -> Sequence[Any]:
     name, parameters = equation.primitive.name, equation.params
     if name in _INLINED:
-        inner = parameters["jaxpr"] if "jaxpr" in parameters else parameters["call_jaxpr"]
-        return _evaluated(inner.jaxpr, inner.consts, values)
+        return _called(parameters[_INLINED[name]], *values)
+    if name == "cond":
+        chosen, *operands = values
+        return lax.switch(chosen, [functools.partial(_called, branch) for branch in parameters["branches"]], *operands)
     # Over nothing there is nothing to write out: the plain reduction is a constant.
     if name in _REDUCTIONS and 0 < math.prod(values[0].shape[axis] for axis in parameters["axes"]) <= FEW:
-        return [_reduced(_REDUCTIONS[name], values[0], parameters["axes"])]
+        return [_reduced(_REDUCTIONS[name], values[0], [int(axis) for axis in parameters["axes"]])]
     with equation.ctx.manager:
         answer = equation.primitive.bind(*values, **equation.primitive.get_bind_params(parameters))
     return answer if equation.primitive.multiple_results else [answer]

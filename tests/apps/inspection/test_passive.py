@@ -18,6 +18,7 @@ from keepout.apps.inspection.passive import (
 from keepout.core.errors import InspectionError
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
+from keepout.core.mission.zones import zones_judged
 from keepout.core.motion.disturbance import NoDisturbance
 
 LOW = {"orbit": {"semi_major_axis": 7.0e6}, "attitude": {"kind": "vvlh"}}
@@ -67,6 +68,33 @@ def test_the_bound_lies_below_what_a_fine_drift_finds_and_not_far():
     assert np.all(found.found[truth < -0.05] < 0.0)
     cheap = passive_safety(case, ball, begun, 1500.0, enough=0.0)
     assert np.array_equal(cheap.safe, found.safe)
+
+
+def test_zones_count_as_the_mesh_does_until_the_drift_is_over():
+    """Against a fine drift: one that turns, one that stands later, one that ends meanwhile, and one that has ended."""
+    cone = {"shape": "cone", "axes": "inertial", "centre": [0.0, 0.0, 0.0], "axis": [0.2, -0.3, 0.9]}
+    cone |= {"half_angle": 0.3, "length": 45.0}
+    late = {"shape": "sphere", "centre": [0.0, 15.0, 0.0], "radius": 4.0, "start": 400.0}
+    ends = {"shape": "box", "lower": [-30.0, -5.0, -5.0], "upper": [-20.0, 5.0, 5.0], "until": 200.0}
+    past = {"shape": "sphere", "centre": [0.0, 0.0, 0.0], "radius": 100.0, "until": 100.0}
+    generator = np.random.default_rng(5)
+    place, begun = 14.0 * generator.normal(size=(200, 3)), np.repeat([100.0, 250.0], 100)
+    case = scenario(**CALM, duration=300.0, zone=[cone, late, ends, past], start={"position": [200.0, 0.0, 0.0]})
+    at = states_at_times(case, begun, place, 0.02 * generator.normal(size=(200, 3)))
+    path, _ = drift(Surroundings(case).motion, at, 1.0, 900)
+    truth, time = ball(path), begun[:, None] + np.arange(901)
+    regions = zones_judged(Surroundings(case.replace(duration=1200.0)))
+    for region in regions:
+        turn = region.rotations[np.minimum(time.astype(int), len(region.rotations) - 1)]
+        away = region.distance(np.einsum("nkij,nkj->nki", turn, path).reshape(-1, 3)).reshape(truth.shape)
+        stands = (begun[:, None] < region.until) & (time >= region.start)
+        truth = np.where(stands, np.minimum(truth, away), truth)
+    truth = truth.min(axis=1) - case.chaser.radius
+    found = passive_safety(case, ball, at, 900.0)
+    assert np.all(found.clearance <= truth + 1e-3)
+    assert np.all((truth - found.clearance)[truth > 0.0] < 0.1)
+    assert 0 < found.safe[:100].sum() < found.safe[100:].sum() < 100
+    assert np.array_equal(passive_safety(case, ball, at, 900.0, enough=0.0).safe, found.safe)
 
 
 @pytest.mark.long

@@ -419,8 +419,8 @@ def drifts_flown(flight: Flight) -> list[dict[str, Any]]:
 
     Returns:
         For each leg that was flown, or for the flight where it has none: `name`, how many states were `judged`, and
-        from how many of them the drift is `proved_free` of contact with the mesh where nothing pushes, and where the
-        disturbance does, whatever it is within its bound (`pushed_proved_free`). Zones are not looked at.
+        from how many of them the drift is `proved_free` of contact with the mesh, and of zones, where nothing pushes,
+        and where the disturbance does, whatever it is within its bound (`pushed_proved_free`).
 
     """
     scenario, record = flight.scenario, flight.record
@@ -448,9 +448,9 @@ def drift_safe(around: Surroundings, law: Controller, progress: Progress = silen
     """Give a scenario whose legs that ask for it have the greatest safe speed among those tried as their limit.
 
     Safe is a speed up to which, at all speeds tried and from all along the leg's course, the drift without thrust or
-    push is proved not to touch the mesh for `approach.abort_time`. The course is the one that the guidance leads along,
-    and a target that moves is where it would be if the leg were flown at its limit. What is flown wanders from both,
-    and is judged after the flight (`drifts` of its summary). Zones are not looked at. No leg asks for it any more.
+    push is proved to touch no mesh and enter no zone for `approach.abort_time`. The course is the one that the guidance
+    leads along, and target and zones are where they would be if the leg were flown at its limit. What is flown wanders
+    from both, and is judged after the flight (`drifts` of its summary). No leg asks for it any more.
 
     Args:
         around: the scenario's surroundings, with its target.

@@ -1,9 +1,9 @@
 """Passive safety: a chaser whose thrust stops touches nothing for a stated time; how fast legs may then be flown.
 
 What is proved, for each state: the nominal drift (exact relative motion, no force) keeps clear of the mesh by more than
-chaser radius and tube, the tube being how far errors of the state and a push that nobody commanded can lead away
-(`Spread`). Between the samples of the drift the audit's parabolas and their error hold (`audit/tube.py`); distance to
-the mesh is 1-Lipschitz. Where a drift leaves the range in which gravity is bounded, nothing is proved.
+chaser radius and tube, and of zones, the tube being how far errors of the state and a push that nobody commanded can
+lead away (`Spread`). Between the samples of the drift the audit's parabolas and their error hold (`audit/tube.py`);
+distances are 1-Lipschitz. Where a drift leaves the range in which gravity is bounded, nothing is proved.
 """
 
 import math
@@ -26,6 +26,7 @@ from keepout.core.geometry.distance import Points
 from keepout.core.mission.bounds import perturbations
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
+from keepout.core.mission.zones import Nearest, with_zones
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 from keepout.core.motion.relative import MotionState, RelativeMotion
@@ -204,8 +205,8 @@ class PassiveSafety:
     """What is known of drifts, one entry a state.
 
     Attributes:
-        clearance: a lower bound on the distance from the chaser's surface to the mesh over the whole drift, m, whatever
-            the push within its bound; −inf where a drift may leave the range in which gravity is bounded.
+        clearance: a lower bound on the distance from the chaser's surface to mesh and zones over the whole drift, m,
+            whatever the push within its bound; −inf where a drift may leave the range in which gravity is bounded.
         found: the least value found of what `clearance` bounds; at most a tolerance above it where steps are fine.
         spread: radius of the tube at the end, m.
 
@@ -217,7 +218,7 @@ class PassiveSafety:
 
     @property
     def safe(self) -> Bool[np.ndarray, " n"]:
-        """Whether each drift is proved to touch nothing."""
+        """Whether each drift is proved to touch nothing and to enter no zone."""
         return self.clearance > 0.0
 
 
@@ -232,10 +233,10 @@ def passive_safety(
     enough: float = math.inf,
     too_little: float = 0.0,
 ) -> PassiveSafety:
-    """Bound how near drifts from many states come to a mesh.
+    """Bound how near drifts from many states come to a mesh, and to the scenario's zones.
 
     Args:
-        scenario: gives motion, chaser, and what bounds them.
+        scenario: gives motion, chaser, what bounds them, and zones (`with_zones`). Corridors do not count.
         distance: exact and unsigned, to the target's mesh, m.
         states: with a leading axis; from `states_of_record` or `states_at_times`.
         seconds: for which each drifts.
@@ -253,8 +254,8 @@ def passive_safety(
         raise InspectionError(f"passive safety: {seconds} s; it must be positive and finite")
     # A drift may begin at the end of the mission, and goes on after it.
     lasting = scenario.model_copy(update={"duration": scenario.duration + seconds})
-    motion, bounds = Surroundings(scenario).motion, Surroundings(lasting).flight_bounds
-    spread = Spread.of(lasting, push)
+    motion, around = Surroundings(scenario).motion, Surroundings(lasting)
+    spread, bounds = Spread.of(lasting, push), around.flight_bounds
     step = min(_LONGEST_STEP, _TURN / max(bounds.angular_rate, 1e-12))
     count = math.ceil(seconds / step - 1e-9)
     if count > _MOST_STEPS:
@@ -275,7 +276,8 @@ def passive_safety(
         farthest = lengths(position).max(axis=1) + radius[-1]
         within = ~tube.beyond.any(axis=1) & (farthest <= bounds.range_limit)
         within &= np.asarray(some.time) + seconds <= bounds.valid_until
-        parts.append(_least(tube, radius, distance, within, (too_little + keep, enough + keep)))
+        near = with_zones(distance, around, np.asarray(some.time))
+        parts.append(_least(tube, radius, near, within, (too_little + keep, enough + keep)))
     lower, upper = (np.concatenate(part) for part in zip(*parts, strict=True))
     return PassiveSafety(lower - keep, upper - keep, float(radius[-1]))
 
@@ -368,7 +370,7 @@ def _target(motion: RelativeMotion, begin: MotionState, period: Float[Array, ""]
 def _least(
     tube: Tube,
     radius: Float[np.ndarray, " k"],
-    distance: Distance,
+    near: Nearest,
     within: Bool[np.ndarray, " n"],
     limits: tuple[float, float],
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
@@ -397,11 +399,13 @@ def _least(
         steps.append((which[single], first[single]))
         which, first, end = which[~single], first[~single], end[~single]
         middle = (first + end) // 2
-        found = distance(tube.position[which, middle]) if which.size else np.empty(0)
+        since = tube.time[middle]
+        about = np.maximum(since - tube.time[first], tube.time[end] - since)
+        found, least = near(tube.position[which, middle], which, since, about) if which.size else (since, since)
         np.minimum.at(upper, which, found - radius[middle])
         at = travel[which, middle]
         reach = np.maximum(at - travel[which, first], travel[which, end] - at)
-        kept = open_still(which, found - reach - radius[end])
+        kept = open_still(which, least - reach - radius[end])
         which = np.tile(which[kept], 2)
         first, end = np.append(first[kept], middle[kept]), np.append(middle[kept], end[kept])
     which, first = (np.concatenate(part) for part in zip(*steps, strict=True))
@@ -410,14 +414,14 @@ def _least(
         if not which.size:
             break
         point, error, ball = tube.piece(which, first, begin, until)
-        found = distance(point)
+        step, middle = tube.time[first + 1] - tube.time[first], 0.5 * (begin + until)
+        found, least = near(point, which, tube.time[first] + middle * step, 0.5 * (until - begin) * step)
         np.minimum.at(upper, which, found + error - radius[first + 1])
         # What the parabolas leave open does not shrink with the piece.
         alone = (halving == _HALVINGS) | (ball - error <= 0.05 * error)
-        kept = open_still(which, found - ball - radius[first + 1], alone)
+        kept = open_still(which, least - ball - radius[first + 1], alone)
         which, first = np.repeat(which[kept], 2), np.repeat(first[kept], 2)
-        begin, until = begin[kept], until[kept]
-        middle = 0.5 * (begin + until)
+        begin, until, middle = begin[kept], until[kept], middle[kept]
         begin, until = np.stack([begin, middle], axis=-1).ravel(), np.stack([middle, until], axis=-1).ravel()
     return lower, upper
 
@@ -565,8 +569,10 @@ def drift_speed(
         limit: the greatest speed tried, m/s; 0 is given where none is safe.
 
     """
-    asked = {"inspect": {"passive_safety": seconds}, "chaser": {"speed_limit": limit}, "leg": [], "zone": []}
-    drifting = Drifting(scenario.replace(**asked), distance, changing=math.inf)
+    # The legs say when zones end, and need not agree with the limit.
+    asked = {"inspect": {"passive_safety": seconds}, "chaser": {"speed_limit": limit}}
+    parts = {name: getattr(scenario, name).model_copy(update=numbers) for name, numbers in asked.items()}
+    drifting = Drifting(scenario.model_copy(update=parts), distance, changing=math.inf)
     return float(drifting.speeds([course], np.array([times]))[0]), drifting.slowest
 
 

@@ -7,7 +7,7 @@ clear of the mesh is proved so here.
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,10 +15,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from keepout.core.audit import zones as judged
-from keepout.core.audit.zones import Region
+from keepout.core.audit.tube import lengths
+from keepout.core.audit.zones import Region, Signed
 from keepout.core.errors import MeshError, ScenarioError
 from keepout.core.fields import zones as shapes
 from keepout.core.fields.field import Field, in_pieces
@@ -33,6 +34,13 @@ from keepout.core.motion.arrays import Scalar, as_float64
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
+Points = Float[np.ndarray, "points 3"]
+Numbers = Float[np.ndarray, "points"]
+Nearest = Callable[[Points, Int[np.ndarray, "points"], Numbers, Numbers], tuple[Numbers, Numbers]]
+"""Of points (m) on drifts, by their index, so many s after these began: the least distance at that time, m.
+
+With it a lower bound, 1-Lipschitz in the point, for as many s before and after as are given.
+"""
 _TURN = math.radians(5.0)
 """Between two rotations that stand for a turning zone, at most, unless that would pass `_MOST_MOMENTS`."""
 _MOST_MOMENTS = 256
@@ -193,6 +201,16 @@ def corridor_shape(corridor: CorridorEntry) -> shapes.Beside:
 
 def regions(around: Surroundings) -> list[Region]:
     """Give a scenario's zones and corridors as the audit judges them, with shapes of its own."""
+    found = zones_judged(around)
+    for number, entry in enumerate(around.scenario.corridor):
+        walls = {"half_angle": entry.half_angle, "radius": entry.radius}
+        beside = judged.beside(np.asarray(entry.port), unit(entry.axis), entry.length, **walls)
+        found.append(Region(named("corridor", entry, number), beside, 0.0, np.eye(3)[None]))
+    return found
+
+
+def zones_judged(around: Surroundings) -> list[Region]:
+    """Give a scenario's zones as the audit judges them, their rotations those at each control step."""
     scenario, found = around.scenario, []
     for number, entry in enumerate(scenario.zone):
         rotations = np.eye(3)[None]
@@ -215,11 +233,33 @@ def regions(around: Surroundings) -> list[Region]:
                 until=ends(scenario, entry),
             )
         )
-    for number, entry in enumerate(scenario.corridor):
-        walls = {"half_angle": entry.half_angle, "radius": entry.radius}
-        beside = judged.beside(np.asarray(entry.port), unit(entry.axis), entry.length, **walls)
-        found.append(Region(named("corridor", entry, number), beside, 0.0, np.eye(3)[None]))
     return found
+
+
+def with_zones(distance: Signed, around: Surroundings, begun: Float[np.ndarray, "drifts"]) -> Nearest:
+    """Give the least of a mesh's distance and of those to zones that have not ended when drifts begin (s).
+
+    These count until the drift is over, as nobody says "go" any more. A zone that turns by ψ or less against its axes
+    at a moment is nearer by at most ψ‖p‖ (docs/guard.md, section 9).
+    """
+    zones, period = zones_judged(around), around.scenario.control.period
+
+    def nearest(
+        points: Points, drifts: Int[np.ndarray, "points"], since: Numbers, about: Numbers
+    ) -> tuple[Numbers, Numbers]:
+        found = distance(points)
+        least, time = found, begun[drifts] + since
+        for zone in zones:
+            moment = np.minimum(np.rint(time / period).astype(int), len(zone.rotations) - 1)
+            away = zone.distance(np.einsum("nij,nj->ni", zone.rotations[moment], points))
+            turned = zone.rate * (about + 0.5 * period)
+            nearer = (away - turned * lengths(points)) / (1.0 + turned)
+            stood = begun[drifts] < zone.until
+            found = np.where(stood & (time >= zone.start), np.minimum(found, away), found)
+            least = np.where(stood & (time + about >= zone.start), np.minimum(least, nearer), least)
+        return found, least
+
+    return nearest
 
 
 def _parts(zone: ZoneEntry) -> dict[str, Any]:
