@@ -6,29 +6,19 @@ Those that take long run in `make test-all`; tests/test_docs.py says of all of t
 from pathlib import Path
 
 import pytest
-from test_commands import INSPECT
 from test_docs import PAGES, blocks, named
 
 pytestmark = pytest.mark.long
 
 ELSEWHERE = {"README.md"}
 """Run by tests/test_commands.py."""
-QUICK = {"docs/my-mesh.md"}
+QUICK = {"docs/tutorial.md"}
 QUICKER = {
-    "docs/reproduce.md": [
-        ("duration=300.0", "duration=240.0"),
-    ],
-    "docs/my-mesh.md": [
-        ('keepout.fit("mission.toml", certify=True, out="satellite.keepout")', 'keepout.load_shipped("intelsat30")')
-    ],
+    "docs/reproduce.md": [("duration=300.0", "duration=240.0")],
     "docs/own-parts.md": [("num_envs=1024, guard=False", "num_envs=1")],
     "docs/on-board.md": [("examples/approach.toml", "mission.toml")],
     # Its field, instead of one that is learned: the grid of exact distances.
     "docs/python.md": [("keepout.fit(target, certify=True)", "guard_field(target, 0.5)"), ("runs=200", "runs=4")],
-    "docs/inspection.md": [
-        ('Scenario.load("examples/inspect.toml")', 'Scenario.load("mission.toml")'),
-        ("range(3)", "range(1)"),
-    ],
 }
 """What is written, and what the test writes instead."""
 BEFORE = {
@@ -51,7 +41,6 @@ field.source = "grid"
 start.position = [9.0, 0.0, 0.0]
 leg = [{position = [7.0, 0.0, 0.0], until = "go", go_at = 9.0}, {position = [5.0, 0.0, 0.0]}]
 """,
-    "docs/inspection.md": INSPECT,
     "docs/python.md": """
 duration = 20.0
 target = {source = "satellite.glb", units = "m"}
