@@ -50,6 +50,8 @@ DEVIATIONS = {
 UNREACHED = {
     "keepout_guard.c": "second bounds of loops beside the mission's own; windows of no length; an estimate that is no "
     "number and yet a jump; a mission whose numbers expire",
+    "keepout_known_set.c": "balls of no radius, or about one centre; commands older than the latency",
+    "keepout_navigation.c": "second bounds of loops; more samples left out than can be counted; a quaternion of 0",
     "keepout_law.c": "a field without a gradient, or numbers that are none at a finite place; second bounds of loops",
     "keepout_math.c": "second bounds of loops beside the mission's own delay",
     "keepout_motion.c": "second bounds of loops beside the mission's own substeps",
