@@ -12,6 +12,7 @@ import numpy as np
 
 from keepout.apps.flight_code.missions import Coded, sizes_of
 from keepout.core.control.law import AheadOfDelay
+from keepout.core.flight.navigation import OnBoardState
 from keepout.flights.thrusters.on_off import ThrusterMemory
 
 HARNESS = Path(__file__).parent / "flight_code_harness" / "harness.c"
@@ -26,6 +27,22 @@ ESTIMATE = np.dtype(
     ],
     align=True,
 )
+
+
+DOUBT = np.dtype([("errors", "f8", 2), ("contradicted", "?")], align=True)
+SAMPLE = np.dtype([("came", "?"), ("value", "f8", 4)], align=True)
+KNOWLEDGE = np.dtype(
+    [
+        ("estimate", ESTIMATE),
+        ("disturbance", "f8", 3),
+        ("outliers", "i4"),
+        ("known", ESTIMATE),
+        ("errors", "f8", 2),
+        ("contradicted", "?"),
+    ],
+    align=True,
+)
+BALL = np.dtype([("centre", "f8", 3), ("radius", "f8")], align=True)
 
 
 def order_type(made: Coded) -> np.dtype:
@@ -52,6 +69,7 @@ def memory_type(made: Coded) -> np.dtype:
             *[(name, "f8", 3) for name in ("velocity", "drift", "force")],
             ("model", "f8", (3, model)),
             ("pending", "f8", (delay, 3)),
+            *([("push", "f8", 3)] if sizes["SENSORS"] else []),
             ("started", "?"),
         ],
         align=True,
@@ -71,11 +89,48 @@ def memory_type(made: Coded) -> np.dtype:
         align=True,
     )
     thrusters = np.dtype([(name, "f8", sizes["THRUSTERS"]) for name in ("owed", "tail")], align=True)
-    return np.dtype([("law", law), ("guard", guard), ("thrusters", thrusters)], align=True)
+    navigation = [] if sizes["SENSORS"] == 0 else [("navigation", _navigation_type(sizes))]
+    return np.dtype([("law", law), ("guard", guard), ("thrusters", thrusters), *navigation], align=True)
 
 
-def memories_of(made: Coded, law: Any, guard: Any, thrusters: Any = ()) -> np.ndarray:
-    """Give memories of Python's law, guard and thrusters, with a leading axis, as records."""
+def _navigation_type(sizes: dict[str, int]) -> np.dtype:
+    sensors, pushes, late, kept = (sizes[name] for name in ("SENSORS", "PUSHES", "LATENCY", "KEPT"))
+    states = 6 + 3 * pushes
+    belief = np.dtype(
+        [
+            ("motion", ESTIMATE),
+            ("disturbance", "f8", 3 * pushes),
+            ("covariance", "f8", (states, states)),
+            ("left_out", "i4", sensors),
+        ],
+        align=True,
+    )
+    known = np.dtype(
+        [
+            *[(name, BALL) for name in ("position", "velocity")],
+            ("accelerations", "f8", (kept, 3)),
+            ("attitudes", "f8", (late + 1, 4)),
+            ("centres", "f8", (kept, 3)),
+            ("radii", "f8", kept),
+            ("elapsed", "i4"),
+            ("contradictions", "i4", 2),
+        ],
+        align=True,
+    )
+    return np.dtype(
+        [
+            ("settled", belief),
+            ("forces", "f8", (late + 1, 3)),
+            ("pending", "f8", (sizes["DELAY"], 3)),
+            ("steps", "i4"),
+            ("set", known),
+        ],
+        align=True,
+    )
+
+
+def memories_of(made: Coded, law: Any, guard: Any, thrusters: Any = (), navigation: Any = ()) -> np.ndarray:
+    """Give memories of Python's law, guard, thrusters and navigation, with a leading axis, as records."""
     delay = made.mission.scenario.guard.delay
     pending = None
     if isinstance(made.mission.setup.controller, AheadOfDelay):
@@ -84,8 +139,11 @@ def memories_of(made: Coded, law: Any, guard: Any, thrusters: Any = ()) -> np.nd
     memory = np.zeros(count, memory_type(made))
     for name in ("velocity", "drift", "force", "started"):
         memory["law"][name] = getattr(law, name)
-    model = np.asarray(law.observer).reshape(count, 3, -1)
-    memory["law"]["model"][:, :, : model.shape[2]] = model
+    if made.mission.setup.navigation is None:
+        model = np.asarray(law.observer).reshape(count, 3, -1)
+        memory["law"]["model"][:, :, : model.shape[2]] = model
+    if isinstance(navigation, OnBoardState):
+        _put_navigation(made, memory["navigation"], navigation)
     if isinstance(thrusters, ThrusterMemory):
         memory["thrusters"]["owed"], memory["thrusters"]["tail"] = thrusters.owed, thrusters.tail
     if pending is not None:
@@ -110,6 +168,37 @@ def memories_of(made: Coded, law: Any, guard: Any, thrusters: Any = ()) -> np.nd
         into["steady"] = guard.observed.steady
         into["doubts"], into["begun_doubts"] = guard.observed.doubts.last, guard.observed.doubts.begun
     return memory
+
+
+def _put_navigation(made: Coded, into: np.ndarray, state: OnBoardState) -> None:
+    """Put memories of the filter and the set into records."""
+    kalman, known = state.estimator, state.bounded
+    settled, count = into["settled"], len(into)
+    settled["motion"] = estimates_of(kalman.settled.motion)
+    settled["disturbance"] = np.asarray(kalman.settled.disturbance).reshape(count, -1)
+    settled["covariance"], settled["left_out"] = kalman.settled.covariance, kalman.settled.left_out
+    into["forces"], into["steps"] = kalman.forces, kalman.steps
+    if delay := made.mission.scenario.guard.delay:
+        into["pending"][:, :delay] = state.pending
+    held = into["set"]
+    for name in ("position", "velocity"):
+        held[name]["centre"], held[name]["radius"] = getattr(known, name).centre, getattr(known, name).radius
+    for name in ("attitudes", "elapsed", "contradictions"):
+        held[name] = getattr(known, name)
+    for name in ("accelerations", "centres", "radii"):
+        rows = np.asarray(getattr(known, name))
+        if rows.shape[1]:
+            held[name][:, -rows.shape[1] :] = rows
+
+
+def samples_of(samples: Any) -> np.ndarray:
+    """Give what sensors say, `Sample`s with a leading axis, as records (n, sensors)."""
+    told = np.zeros((len(samples[0].came), len(samples)), SAMPLE)
+    for number, sample in enumerate(samples):
+        told["came"][:, number] = sample.came
+        value = np.asarray(sample.value)
+        told["value"][:, number, : value.shape[1]] = value
+    return told
 
 
 def estimates_of(state: Any) -> np.ndarray:
@@ -152,12 +241,15 @@ class CompiledStep:
         """Open an image: a KEEPOUT_IMAGE_*, 0 if it is good."""
         return self._library.harness_open(image, ctypes.c_size_t(len(image)))
 
-    def begin(self, estimate: np.ndarray, under_way: np.ndarray | None = None) -> np.ndarray:
-        """Begin at each estimate, with forces (8, 3) N under way or none: the memories."""
+    def begin(
+        self, estimate: np.ndarray, under_way: np.ndarray | None = None, samples: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Begin at each estimate, with forces (8, 3) N under way or none, told samples where sensors do."""
         memory = np.zeros(len(estimate), memory_type(self.made))
         sent = None if under_way is None else np.ascontiguousarray(under_way, np.float64)
+        told = [] if samples is None else [self._at(np.ascontiguousarray(samples))]
         self._library.harness_begin(
-            len(estimate), self._at(np.ascontiguousarray(estimate)), self._at(sent), self._at(memory)
+            len(estimate), self._at(np.ascontiguousarray(estimate)), self._at(sent), *told, self._at(memory)
         )
         return memory
 
@@ -169,12 +261,26 @@ class CompiledStep:
         )
         return order
 
+    def step_by_samples(self, memory: np.ndarray, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Run a step of each, told samples: what is known, and the answers; the memories are changed in place."""
+        order, knowledge = np.zeros(len(samples), order_type(self.made)), np.zeros(len(samples), KNOWLEDGE)
+        told = self._at(np.ascontiguousarray(samples))
+        self._library.harness_step(len(samples), self._at(memory), told, self._at(knowledge), self._at(order))
+        return knowledge, order
+
+    def navigate(self, memory: np.ndarray, samples: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Run navigation alone on samples and then the forces (n, 3) commanded, N: what is known."""
+        knowledge = np.zeros(len(samples), KNOWLEDGE)
+        given = [self._at(np.ascontiguousarray(array)) for array in (samples, np.asarray(force, np.float64))]
+        self._library.harness_navigate(len(samples), self._at(memory), *given, self._at(knowledge))
+        return knowledge
+
     def guard(
-        self, memory: np.ndarray, estimate: np.ndarray, force: np.ndarray, disturbance: np.ndarray
+        self, memory: np.ndarray, estimate: np.ndarray, doubt: np.ndarray, force: np.ndarray, disturbance: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Run the guard alone on commanded forces (n, 3), N: what it gives, and its statuses."""
         filtered, status = np.zeros((len(estimate), 3)), np.zeros(len(estimate), np.int32)
-        given = [np.ascontiguousarray(array) for array in (estimate, force, disturbance)]
+        given = [np.ascontiguousarray(array) for array in (estimate, doubt, force, disturbance)]
         self._library.harness_guard(
             len(estimate), self._at(memory), *map(self._at, given), self._at(filtered), self._at(status)
         )

@@ -4,7 +4,7 @@ python benchmarks/flight_code.py                              # every part, a fe
 python benchmarks/flight_code.py answers --steps 72000 --directed 72000 --missions 17 --kept out/flight-code
 python benchmarks/flight_code.py fuzz --fuzz 10000000 --kept out/flight-code --out benchmarks/results/flight_code.json
 
-`answers` compares with Python (`flight_code_states`, `flight_code_directed`, `flight_code_thrusters`) and leaves the
+`answers` compares with Python (`flight_code_states`, `_directed`, `_thrusters`, `_navigation`) and leaves the
 folders of the missions in `--kept`, with stored steps; the other parts take them from there. A tool that is not there
 is named, its part skipped.
 With `--out` what each part has reached is put into a file, from which docs/results.md is written.
@@ -23,17 +23,24 @@ from typing import Any
 
 import flight_code_checks as checks
 import flight_code_mutants as mutants
+import flight_code_navigation as navigation
 import flight_code_stored as stored
 import flight_code_thrusters as thrusters
+import numpy as np
 from flight_code_directed import Directed
 from flight_code_missions import MISSIONS, exported, folder_of
 from flight_code_states import CLOSED, FLIGHTS, TOGETHER, Flights, closed_loops, compared, pulsed_loops
 
 from keepout.flights.thrusters.on_off import OnOffThrusters
 
-QUICK = ("errors of the estimate", "strong, errors and delay", "law by the spline", "24 thrusters, late, owed")
+QUICK = (
+    *("errors of the estimate", "strong, errors and delay", "law by the spline", "24 thrusters, late, owed"),
+    "laser, tumbling",
+)
 """The missions of a run that names no number of them."""
 
+SAMPLED = 300
+"""Steps of a closed loop by samples."""
 ROW = "compared.json"
 """In a mission's folder: what the comparison with Python has shown."""
 Rows = list[dict[str, Any]]
@@ -78,6 +85,20 @@ def answers(options: argparse.Namespace) -> Rows:
         reached = f"{forces:,} over {len(pulsed)} layouts: force and on-times {given:.1e}, memory {memory:.1e}; "
         reached += f"other thrusters fire on {close} thresholds, in {far} cases elsewhere"
         rows.append(_row("forces for thrusters of a layout", "the same thrusters fire, ≤ 1e-12", reached))
+    if sensed := [row for row in missions if "samples" in row]:
+        samples, close, far = (
+            sum(row[key] for row in sensed) for key in ("samples", "decided on it", "decided off it")
+        )
+        known, memory = (max(row[key] for row in sensed) for key in ("known", "navigation"))
+        reached = f"{samples:,} over {len(sensed)} suites: what is known {known:.1e}, memory {memory:.1e}; "
+        reached += f"one alone leaves a sample out on {close} thresholds, in {far} cases beside one"
+        rows.append(
+            _row(
+                "samples of sensors on thresholds",
+                "counts and flags equal, ≤ 1e-11; radii of balls that touch ≤ 1e-8",
+                reached,
+            )
+        )
     rows[0]["missions"] = missions
     return rows
 
@@ -85,13 +106,21 @@ def answers(options: argparse.Namespace) -> Rows:
 def _compared(name: str, options: argparse.Namespace) -> dict[str, Any]:
     """Compare one mission with Python; leave its folder with stored steps."""
     flown = exported(name, options.kept)
-    flights = Flights(flown.made)
+    by_samples = flown.made.mission.setup.navigation is not None
+    flights = navigation.SampledFlights(flown.made) if by_samples else Flights(flown.made)
     random = compared(flown, flights, options.steps)
     records = [stored.of_step(flown.made, row) for row in random.kept[:16]]
-    records.append(stored.of_beginnings(flown.made, random.kept[0].estimate))
+    if not isinstance(flights, navigation.SampledFlights):
+        records.append(stored.of_beginnings(flown.made, random.kept[0].estimate))
     row: dict[str, Any] = {"mission": name, "steps": random.steps, "statuses that differ": random.differ}
     row |= {"force": random.force, "memory": random.memory, "most in": random.worst}
     row |= {"steps beyond 1e-11": random.beyond, "times a last bit": random.share}
+    if isinstance(flights, navigation.SampledFlights):
+        records.append(flights.beginnings(np.random.default_rng(5)))
+        samples = navigation.compared(flown, flights, random.kept, options.directed)
+        records += samples.records
+        row |= {"samples": samples.states, "decided on it": samples.on_it, "decided off it": samples.beside}
+        row |= {"known": samples.known, "navigation": samples.memory, "most of it in": samples.worst}
     if isinstance(flown.made.mission.setup.thrusters, OnOffThrusters):
         forces = thrusters.compared(flown, options.directed)
         records += forces.records
@@ -111,10 +140,14 @@ def _compared(name: str, options: argparse.Namespace) -> dict[str, Any]:
 
 def loops(options: argparse.Namespace, folders: list[Path]) -> Rows:
     """Fly closed loops of the first missions, each code its own."""
-    ends, pulsed, rows = [], [], []
+    ends, pulsed, sensed, rows = [], [], [], []
     there = [name for name in MISSIONS if folder_of(name, options.kept) in folders]
     layouts = [name for name in there if MISSIONS[name].get("thrusters", {}).get("layout", "ideal") != "ideal"]
-    for name in [name for name in there if name not in layouts][: options.loops]:
+    suites = [name for name in there if "navigation" in MISSIONS[name]]
+    for name in suites[: options.loops]:
+        flown = exported(name, options.kept)
+        sensed.append(navigation.sampled_loops(flown, navigation.SampledFlights(flown.made), SAMPLED))
+    for name in [name for name in there if name not in layouts + suites][: options.loops]:
         flown = exported(name, options.kept)
         ends.append(closed_loops(flown, Flights(flown.made)))
     for name in layouts[: options.loops]:
@@ -123,6 +156,9 @@ def loops(options: argparse.Namespace, folders: list[Path]) -> Rows:
     if ends:
         reached = f"{len(ends) * FLIGHTS} flights, missions: {len(ends)}, {CLOSED} steps: {max(ends):.1e} m"
         rows.append(_row("closed loops, each its own", "20 missions, 3,000 steps: ≤ 1e-10 m", reached))
+    if sensed:
+        reached = f"{len(sensed) * FLIGHTS} flights, missions: {len(sensed)}, {SAMPLED} steps: {max(sensed):.1e} m"
+        rows.append(_row("closed loops by samples, each its own", f"{SAMPLED} steps: ≤ 1e-9 m", reached))
     if pulsed:
         asked = f"{TOGETHER} steps: ≤ 1e-10 m; then as near as Python to itself from a last bit beside"
         reached = f"{len(pulsed) * FLIGHTS} flights, missions: {len(pulsed)}, {TOGETHER} steps: "

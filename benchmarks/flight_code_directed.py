@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from compiled_step import estimates_of, memories_of
+from compiled_step import DOUBT, estimates_of, memories_of
 from flight_code_missions import Exported
 from flight_code_states import Step, apart, gathered, with_parts
 from flight_code_stored import of_guard
@@ -26,15 +26,21 @@ STEPS_ASIDE = (1e-12, 1e-11, 1e-9, 1e-6)
 """How far from its threshold a state is also asked, m, m/s or N along the line: there statuses must agree."""
 MODES = ("clear", "braking", "holding", "escaping")
 FLAGS = {4: "jump", 8: "disturbance", 16: "field", 32: "region", 64: "command", 128: "off plan", 256: "estimate"}
+FLAGS |= {512: "wide", 1024: "contradicted"}
 
 
 class State(NamedTuple):
-    """Guards' memories, estimates, commanded forces (N) and disturbances' estimates (N), with a leading axis."""
+    """Guards' memories, estimates, commanded forces (N) and disturbances' estimates (N), with a leading axis.
+
+    `errors` are bounds of the estimates' errors (m, m/s), `contradicted` whether samples contradicted each other.
+    """
 
     guard: Any
     estimate: Any
     force: np.ndarray
     disturbance: np.ndarray
+    errors: np.ndarray
+    contradicted: np.ndarray
 
 
 class Line(NamedTuple):
@@ -70,8 +76,8 @@ class Found(NamedTuple):
     listed: list[str]
 
 
-def lines_of(state: State, guard: Any, rng: np.random.Generator) -> list[Line]:
-    """Give lines from states through thresholds; see the module's words."""
+def lines_of(state: State, guard: Any, rng: np.random.Generator, *, sensed: bool) -> list[Line]:
+    """Give lines from states through thresholds; see the module's words. Of sensors there is one more, of doubts."""
     a, design = guard.assumptions, guard.braking
     count = len(state.force)
     turn = rng.normal(size=(count, 3))
@@ -124,6 +130,12 @@ def lines_of(state: State, guard: Any, rng: np.random.Generator) -> list[Line]:
     def push(told: State, by: np.ndarray) -> State:
         return told._replace(disturbance=turn * by[:, None])
 
+    caps = np.array([float(error) for error in a.estimate_errors])
+
+    def doubt(told: State, by: np.ndarray) -> State:
+        errors = np.abs(turn[:, :2]) * (caps + 1e-3) * by[:, None]
+        return told._replace(errors=errors, contradicted=turn[:, 2] > 0.8)
+
     radius = float(guard._plan_radius)
     wide = 4.0 * (float(a.position_error) + float(design.position_radius) + 0.01)
     fast = 4.0 * (float(a.velocity_error) + float(a.disturbance * a.period) + 0.001)
@@ -138,6 +150,7 @@ def lines_of(state: State, guard: Any, rng: np.random.Generator) -> list[Line]:
         moved("jump of velocity", fast, jump_of_pace),
         moved("command", 3.0 * float(a.force_limit), command),
         moved("disturbance", 2.0 * bound, push),
+        *([moved("doubt", 3.0, doubt)] if sensed else []),
     ]
 
 
@@ -209,22 +222,26 @@ class Directed:
         assert guard is not None
         self.guard = guard
         self._law, memory, estimate, force, disturbance = gathered(kept, rows)
-        self._base = State(memory, estimate, force, disturbance)
+        caps = [float(error) for error in guard.assumptions.estimate_errors]
+        declared = np.broadcast_to(np.array(caps), (len(force), 2))
+        self._base = State(memory, estimate, force, disturbance, declared, np.zeros(len(force), bool))
         self.found = Found(0, collections.Counter(), collections.Counter(), 0, 0, 0.0, 0.0, [])
         self._python = jax.jit(jax.vmap(lambda told: guard.filter(*told)))
 
     def compare(self, count: int) -> Found:
         """Compare at least `count` states on thresholds."""
-        rng = np.random.default_rng(3)
+        rng, sensed = np.random.default_rng(3), self.flown.made.mission.setup.navigation is not None
         while self.found.states < count:
-            for line in lines_of(self._base, self.guard, rng):
+            for line in lines_of(self._base, self.guard, rng, sensed=sensed):
                 self._cut(line)
         return self.found
 
     def _asked(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Ask the C guard: memory afterwards, force and status."""
         memory = memories_of(self.flown.made, self._law, state.guard)
-        given = estimates_of(state.estimate), state.force, state.disturbance
+        doubt = np.zeros(len(state.force), DOUBT)
+        doubt["errors"], doubt["contradicted"] = state.errors, state.contradicted
+        given = estimates_of(state.estimate), doubt, state.force, state.disturbance
         return memory["guard"], *self.flown.code.guard(memory, *given)
 
     def _cut(self, line: Line) -> None:

@@ -65,7 +65,24 @@ MISSIONS: dict[str, dict[str, Any]] = {
         "guard": {"delay": 1, "position_error": 0.03, "velocity_error": 0.001},
         "chaser": {"mass": 100.0, "force_limit": 1.0},
     },
+    "pose by lidar, late": {
+        "navigation": {"suite": "close", "dropout": 0.05, "most_missed": 2},
+        "guard": {"delay": 1},
+        "chaser": {"mass": 30.0, "force_limit": 1.0},
+    },
+    "GNSS, elliptic, unguarded": {
+        "navigation": {"suite": "far"},
+        "guard": {"enabled": False},
+        "attitude": {"kind": "inertial"},
+        "control": {"observer": "constant"},
+        "orbit": {"eccentricity": 0.1, "semi_major_axis": 9e6},
+    },
     "thrusters askew": {"thrusters": {"layout": "own", "own": OWN, "least_on_time": 0.05, "modulation": "delta-sigma"}},
+    "laser, tumbling": {
+        "navigation": {"suite": "near"},
+        "attitude": {**TURNING, "inertia": ((2.0, 0, 0), (0, 3.0, 0), (0, 0, 4.0))},
+        "chaser": {"mass": 30.0, "force_limit": 1.0},
+    },
 }
 
 

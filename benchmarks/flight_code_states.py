@@ -14,8 +14,8 @@ import numpy as np
 from compiled_step import estimates_of, memories_of
 from flight_code_missions import Exported
 
-from keepout.apps.flight_code import folder
-from keepout.apps.flight_code.missions import Coded
+from keepout.apps.flight_code import self_test
+from keepout.apps.flight_code.missions import Coded, sizes_of
 from keepout.core.flight import loop
 from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.disturbance import NoDisturbance
@@ -40,27 +40,70 @@ def apart(a: Any, b: Any, least: float = 1e-3) -> float:
     return float(np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, far).max())
 
 
+def members_of(record: np.ndarray, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Give what records hold, those within them too, by name."""
+    for name in record.dtype.names or ():
+        if record[name].dtype.names:
+            yield from members_of(record[name], f"{path}{name}.")
+        else:
+            yield f"{path}{name}", record[name]
+
+
+def navigations_apart(made: Coded, a: np.ndarray, b: np.ndarray, least: float = 1e-3) -> dict[str, float]:
+    """Give how far memories of navigation are apart; of covariances over the product of both standard deviations."""
+    sizes = sizes_of(made)
+    window = sizes["WINDOW"]
+    rows = {"set.accelerations": max(window, sizes["LATENCY"]), "set.centres": window, "set.radii": window}
+    if not made.mission.scenario.guard.delay:
+        rows["pending"] = 0
+    found, expected = {}, dict(members_of(b))
+    for name, mine in members_of(a):
+        count = mine.shape[1] if mine.ndim > 1 else 1
+        used = rows.get(name, count)
+        x, y = (part[:, count - used :] if used < count else part for part in (mine, expected[name]))
+        if name == "settled.covariance":
+            spread = np.sqrt(np.einsum("kii->ki", y))
+            scale = spread[:, :, None] * spread[:, None, :]
+            found[name] = float((np.abs(x - y) / scale).max())
+        elif x.size:
+            found[name] = apart(x, y, least)
+    return found
+
+
 def memories_apart(made: Coded, a: np.ndarray, b: np.ndarray, least: float = 1e-3) -> dict[str, float]:
     """Give how far parts of memories, records of C, are apart; what the mission does not use is left out."""
+    if made.mission.setup.navigation is not None:
+        found = navigations_apart(made, a["navigation"], b["navigation"], least)
+        rest = [name for name in a.dtype.names or () if name != "navigation"]
+        return {f"navigation.{name}": far for name, far in found.items()} | _others_apart(made, a[rest], b[rest], least)
+    return _others_apart(made, a, b, least)
+
+
+def _others_apart(made: Coded, a: np.ndarray, b: np.ndarray, least: float) -> dict[str, float]:
     guard = made.mission.setup.guard
     parts = ["law", "thrusters"] if guard is None else ["law", "guard", "thrusters"]
-    unused = () if guard is not None and guard.braking.observer is not None else ("seen_position", "seen_velocity")
+    unused = ["push"]  # a filter's, told anew at each step
+    unused += [] if guard is not None and guard.braking.observer is not None else ["seen_position", "seen_velocity"]
     names = [(part, name) for part in parts for name in a[part].dtype.names or () if name not in unused]
     return {f"{part}.{name}": apart(a[part][name], b[part][name], least) for part, name in names}
 
 
 class Step(NamedTuple):
-    """A step of many random flights in Python: memories of law, guard and thrusters before it and after it, its answer.
+    """A step of many random flights in Python: memories before it and after it, what it is told, its answer.
 
-    `given` is the force, what the thrusters give of it in the mean (N), each one's pulse and its on-time (s).
+    The memories are those of law, guard and thrusters, and of navigation where sensors tell. `estimate` is what the
+    guard goes by; `told` is the same or what sensors say, records. `given` is the force, what the thrusters give of it
+    in the mean (N), each one's pulse and its on-time (s). `known` is what navigation knew, records.
     """
 
     before: Any
     estimate: Any
+    told: np.ndarray
     order: Any
     given: tuple[np.ndarray, ...]
     status: np.ndarray
     after: Any
+    known: np.ndarray | None = None
 
 
 GIVEN = ("force", "mean_force", "pulse", "on_time")
@@ -74,7 +117,7 @@ def given_of(order: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def fired(thrusters: ThrusterModel, memory: Any, force: Any) -> tuple[Any, tuple[Any, ...]]:
     """Fire a force (N): the memory afterwards, and `GIVEN`."""
-    after, _, given = folder.fired(thrusters, memory, force)
+    after, _, given = self_test.fired(thrusters, memory, force)
     return after, (force, *given)
 
 
@@ -118,7 +161,8 @@ class Flights:
                 memory = self.begin(state)
             estimate, before = told(state, rng), memory
             memory, (given, order, status), state = self.step(memory, estimate, state, none)
-            yield Step(before, estimate, order, tuple(map(np.asarray, given)), np.asarray(status), memory)
+            answer = order, tuple(map(np.asarray, given)), np.asarray(status)
+            yield Step(before, estimate, estimates_of(estimate), *answer, memory)
 
     def closed(self, rng: np.random.Generator) -> tuple[Any, np.ndarray, Any]:
         """Fly whole flights, told the truth, under constant forces: where they begin, the forces (N), their ends."""
@@ -159,6 +203,22 @@ def told(state: Any, rng: np.random.Generator) -> Any:
     return with_parts(state, position=position, velocity=state.velocity + rng.normal(0, 3e-4, (count, 3)))
 
 
+def asked(flown: Exported, memory: np.ndarray, told: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Run a step of the C code: its answers, and what it knew by samples; the memories are changed in place."""
+    if flown.made.mission.setup.navigation is None:
+        return flown.code.step(memory, told), None
+    known, order = flown.code.step_by_samples(memory, told)
+    return order, known
+
+
+def knowledge_apart(a: np.ndarray | None, b: np.ndarray | None) -> tuple[float, np.ndarray]:
+    """Give how far records of what is known are apart, and where their counts and flags are others."""
+    if a is None or b is None:
+        return 0.0, np.zeros(1, bool)
+    far = max(apart(mine, dict(members_of(b))[name]) for name, mine in members_of(a))
+    return far, (a["outliers"] != b["outliers"]) | (a["contradicted"] != b["contradicted"])
+
+
 class Compared(NamedTuple):
     """What random steps have shown.
 
@@ -187,13 +247,16 @@ class Compared(NamedTuple):
 def compared(flown: Exported, flights: Flights, steps: int, keep: int = 16) -> Compared:
     """Step both codes from the same memories."""
     made, total = flown.made, Compared(0, 0, 0.0, 0.0, "", 0, 0.0, [])
-    every = max(steps // FLIGHTS // keep, 1)
+    every = max(steps // FLIGHTS // keep, 1) | 1  # some sensors speak in every second step only
     for number, row in enumerate(flights.random(steps, np.random.default_rng(1))):
         given, after = memories_of(made, *row.before), memories_of(made, *row.after)
-        held, estimate = given.copy(), estimates_of(row.estimate)
-        order = flown.code.step(held, estimate)
+        held, estimate = given.copy(), row.told
+        order, known = asked(flown, held, estimate)
         wrong = (order["guard_status"] != row.status) | (order["control_status"] != np.asarray(row.order.status))
+        knows, otherwise = knowledge_apart(known, row.known)
+        wrong |= otherwise
         force, parts = _given_apart(given_of(order), row.given), memories_apart(made, held, after)
+        parts["what is known"] = knows
         worst = max(parts, key=lambda name: parts[name])
         beyond, share = total.beyond, total.share
         if max(force, parts[worst]) > ASKED:
@@ -233,16 +296,15 @@ def _nudged(flown: Exported, memory: np.ndarray, estimate: np.ndarray) -> float:
     """Give the largest difference that a last bit more or less of every input makes to a step of the C code."""
     rng, most = np.random.default_rng(6), 0.0
     held = memory.copy()
-    plain = given_of(flown.code.step(held, estimate))
+    plain = given_of(asked(flown, held, estimate)[0])
     for _ in range(NUDGES):
         near, told = memory.copy(), estimate.copy()
-        for record in (near["law"], near["guard"], near["thrusters"], told):
-            for name in record.dtype.names or ():
-                if record.dtype[name].base == np.float64:
-                    bits = rng.integers(-1, 2, np.shape(record[name]))
-                    with np.errstate(invalid="ignore", over="ignore"):
-                        record[name] += np.nan_to_num(bits * np.spacing(np.abs(record[name])), posinf=0.0)
-        given = given_of(flown.code.step(near, told))
+        for _, part in [*members_of(near), *members_of(told)]:
+            if part.dtype == np.float64:
+                bits = rng.integers(-1, 2, np.shape(part))
+                with np.errstate(invalid="ignore", over="ignore"):
+                    part += np.nan_to_num(bits * np.spacing(np.abs(part)), posinf=0.0)
+        given = given_of(asked(flown, near, told)[0])
         most = max(most, _far(flown.made, (given, near), (plain, held)))
     return most
 

@@ -5,27 +5,29 @@ from typing import Any
 
 import jax
 import numpy as np
-from compiled_step import ESTIMATE, estimates_of, memories_of, memory_type
+from compiled_step import DOUBT, ESTIMATE, KNOWLEDGE, SAMPLE, estimates_of, memories_of, memory_type
 from flight_code_missions import Exported
 from flight_code_states import GIVEN, Step
 
 from keepout.apps.flight_code.missions import Coded, sizes_of
 from keepout.core.flight import loop
 
-STEP, OF_GUARD, BEGINNING, OF_THRUSTERS = 0, 1, 2, 3
+STEP, OF_GUARD, BEGINNING, OF_THRUSTERS, OF_NAVIGATION = 0, 1, 2, 3, 4
 NAME, FIELDS = "steps.bin", "fields.bin"
 PLACES = 2000
 
 
 def stored_type(made: Coded) -> np.dtype:
     """Give the record that `stored_step` is for a mission."""
-    memory = memory_type(made)
+    memory, sensors = memory_type(made), sizes_of(made)["SENSORS"]
     return np.dtype(
         [
             *[(name, "i4") for name in ("kind", "control_status", "guard_status", "spare")],
             *[(name, "f8", 3) for name in ("force", "mean_force")],
             *[(name, "f8", sizes_of(made)["THRUSTERS"]) for name in ("pulse", "on_time")],
             *[(name, "f8", 3) for name in ("commanded", "disturbance")],
+            ("doubt", DOUBT),
+            *([("samples", SAMPLE, sensors), ("known", KNOWLEDGE)] if sensors else []),
             ("under_way", "f8", (8, 3)),
             ("estimate", ESTIMATE),
             ("before", memory),
@@ -42,7 +44,10 @@ def of_step(made: Coded, row: Step) -> np.ndarray:
     records["control_status"], records["guard_status"] = np.asarray(row.order.status), row.status
     for name, part in zip(GIVEN, row.given, strict=True):
         records[name] = part
-    records["estimate"] = estimates_of(row.estimate)
+    if row.known is None:
+        records["estimate"] = row.told
+    else:
+        records["samples"], records["known"] = row.told, row.known
     records["before"], records["after"] = memories_of(made, *row.before), memories_of(made, *row.after)
     return records
 
@@ -54,6 +59,7 @@ def of_guard(made: Coded, law: Any, state: Any, answer: tuple[Any, np.ndarray, n
     records["kind"] = OF_GUARD
     records["guard_status"], records["force"], records["commanded"] = status, force, state.force
     records["disturbance"], records["estimate"] = state.disturbance, estimates_of(state.estimate)
+    records["doubt"]["errors"], records["doubt"]["contradicted"] = state.errors, state.contradicted
     records["before"], records["after"] = memories_of(made, law, state.guard), memories_of(made, law, memory)
     return records
 
@@ -64,6 +70,15 @@ def of_thrusters(made: Coded, before: np.ndarray, given: tuple[np.ndarray, ...],
     records["kind"], records["before"], records["after"] = OF_THRUSTERS, before, after
     for name, part in zip(GIVEN, given, strict=True):
         records[name] = part
+    return records
+
+
+def of_navigation(made: Coded, before: np.ndarray, asked: tuple[np.ndarray, np.ndarray], answer: Any) -> np.ndarray:
+    """Give records of samples, and forces (N), that navigation alone was told, and what it knew and remembered."""
+    records = np.zeros(len(before), stored_type(made))
+    records["kind"], records["before"] = OF_NAVIGATION, before
+    records["samples"], records["force"] = asked
+    records["known"], records["after"] = answer
     return records
 
 

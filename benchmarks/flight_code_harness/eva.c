@@ -12,6 +12,10 @@ static keepout_mission mission;
 static keepout_memory memory;
 static keepout_estimate estimate;
 static keepout_order order;
+#if KEEPOUT_SENSORS > 0
+static keepout_sample samples[KEEPOUT_SENSORS];
+static keepout_knowledge known;
+#endif
 static double under_way[KEEPOUT_MOST_DELAY][3];
 
 static void anything(void *at, size_t size)
@@ -33,6 +37,15 @@ static void forget(void)
     memory.guard.left_out = either();
     memory.guard.steady = either();
     anything(&estimate, sizeof estimate);
+#if KEEPOUT_SENSORS > 0
+    {
+        int i;
+        anything(samples, sizeof samples);
+        for (i = 0; i < KEEPOUT_SENSORS; i++) {
+            samples[i].came = either();
+        }
+    }
+#endif
     anything(under_way, sizeof under_way);
 }
 
@@ -45,9 +58,15 @@ int main(void)
         == KEEPOUT_IMAGE_GOOD) {
         keepout_mission_with(&tables, &mission);
         forget();
+#if KEEPOUT_SENSORS > 0
+        keepout_begin(&mission, &memory, &estimate, samples, either() ? (const double(*)[3])under_way : NULL);
+        forget();
+        keepout_step(&mission, &memory, samples, &known, &order);
+#else
         keepout_begin(&mission, &memory, &estimate, either() ? (const double(*)[3])under_way : NULL);
         forget();
         keepout_step(&mission, &memory, &estimate, &order);
+#endif
         keepout_move(mission.motion, &estimate, order.mean_force, mission.law->period, mission.law->mass);
     }
     return 0;

@@ -82,6 +82,26 @@ static void disturb(keepout_estimate *told)
     }
 }
 
+#if KEEPOUT_SENSORS > 0
+/* What sensors say of a state, now and then nothing, another thing or any numbers. */
+static void measure(const keepout_mission *mission, const keepout_estimate *truth, keepout_sample *samples)
+{
+    int i;
+    int j;
+    for (i = 0; i < KEEPOUT_SENSORS; i++) {
+        double slopes[3][6];
+        (void)keepout_expected(&mission->navigation->sensor[i], truth, samples[i].value, slopes);
+        samples[i].came = (next() % 8u) != 0u;
+        for (j = 0; j < 4; j++) {
+            samples[i].value[j] += (uniform() - 0.5) * 0.01;
+            if ((next() % 60u) == 0u) {
+                samples[i].value[j] = ((next() & 1u) != 0u) ? any() : (samples[i].value[j] + uniform());
+            }
+        }
+    }
+}
+#endif
+
 /* The memory after a bit was turned somewhere in it, but for its truth values, which C knows as 0 and 1 only. */
 static void turn_a_bit(keepout_memory *memory)
 {
@@ -95,6 +115,24 @@ static void turn_a_bit(keepout_memory *memory)
     memcpy(&bits, at, sizeof bits);
     bits ^= (uint64_t)1u << (next() % 64u);
     memcpy(at, &bits, sizeof bits);
+#if KEEPOUT_SENSORS > 0
+    {
+        keepout_navigation_memory *held = &memory->navigation;
+        double *whole[] = {&held->settled.covariance[0][0], held->settled.disturbance, held->forces[0],
+                           held->set.position.centre, &held->set.velocity.radius, held->set.accelerations[0]};
+        double *one = &whole[next() % 6u][0];
+        if (one == &held->settled.covariance[0][0]) {
+            one = &one[next() % (uint64_t)(KEEPOUT_STATES * KEEPOUT_STATES)];
+        }
+        memcpy(&bits, one, sizeof bits);
+        bits ^= (uint64_t)1u << (next() % 64u);
+        memcpy(one, &bits, sizeof bits);
+        held->steps = (int32_t)(next() & 0xFFFFFFFFu);
+        held->set.elapsed = (int32_t)(next() & 0xFFFFFFFFu);
+        held->set.contradictions[next() & 1u] = (int32_t)(next() & 0xFFFFFFFFu);
+        held->settled.left_out[next() % (uint64_t)KEEPOUT_SENSORS] = (int32_t)(next() & 0xFFFFFFFFu);
+    }
+#endif
     if ((next() % 4u) == 0u) {
         memory->guard.counted = (int32_t)(next() & 0xFFFFFFFFu);
     }
@@ -108,6 +146,10 @@ int main(int count, char **words)
     static keepout_memory memory;
     keepout_estimate truth = flight_begin;
     keepout_order order;
+#if KEEPOUT_SENSORS > 0
+    keepout_sample samples[KEEPOUT_SENSORS];
+    keepout_knowledge known;
+#endif
     FILE *file = (count == 4) ? fopen(words[1], "rb") : NULL;
     const long steps = (count == 4) ? atol(words[2]) : 0;
     long number;
@@ -132,7 +174,12 @@ int main(int count, char **words)
             if ((next() % 4u) == 0u) {
                 disturb(&told);
             }
+#if KEEPOUT_SENSORS > 0
+            measure(&mission, &truth, samples);
+            keepout_begin(&mission, &memory, &told, samples, ((next() & 1u) != 0u) ? (const double(*)[3])under_way : NULL);
+#else
             keepout_begin(&mission, &memory, &told, ((next() & 1u) != 0u) ? (const double(*)[3])under_way : NULL);
+#endif
         }
         told = truth;
         if ((next() % 3u) == 0u) {
@@ -141,7 +188,12 @@ int main(int count, char **words)
         if ((next() % 200u) == 0u) {
             turn_a_bit(&memory);
         }
+#if KEEPOUT_SENSORS > 0
+        measure(&mission, &told, samples);
+        keepout_step(&mission, &memory, samples, &known, &order);
+#else
         keepout_step(&mission, &memory, &told, &order);
+#endif
         keepout_move(mission.motion, &truth, order.mean_force, mission.law->period, mission.law->mass);
     }
     free(under_way);

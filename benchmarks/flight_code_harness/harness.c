@@ -14,6 +14,36 @@ int harness_open(const uint8_t *image, size_t size)
     return (int)answer;
 }
 
+#if KEEPOUT_SENSORS > 0
+void harness_begin(int count, const keepout_estimate *estimate, const double (*under_way)[3],
+                   const keepout_sample (*samples)[KEEPOUT_SENSORS], keepout_memory *memory)
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        keepout_begin(&mission, &memory[i], &estimate[i], samples[i], under_way);
+    }
+}
+
+void harness_step(int count, keepout_memory *memory, const keepout_sample (*samples)[KEEPOUT_SENSORS],
+                  keepout_knowledge *knowledge, keepout_order *order)
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        keepout_step(&mission, &memory[i], samples[i], &knowledge[i], &order[i]);
+    }
+}
+
+/* Of navigation alone what is known by samples, and then the force (N) that is commanded. */
+void harness_navigate(int count, keepout_memory *memory, const keepout_sample (*samples)[KEEPOUT_SENSORS],
+                      const double (*force)[3], keepout_knowledge *knowledge)
+{
+    int i;
+    for (i = 0; i < count; i++) {
+        keepout_navigation_know(&mission, &memory[i].navigation, samples[i], &knowledge[i]);
+        keepout_navigation_told(&mission, &memory[i].navigation, force[i]);
+    }
+}
+#else
 void harness_begin(int count, const keepout_estimate *estimate, const double (*under_way)[3], keepout_memory *memory)
 {
     int i;
@@ -29,13 +59,15 @@ void harness_step(int count, keepout_memory *memory, const keepout_estimate *est
         keepout_step(&mission, &memory[i], &estimate[i], &order[i]);
     }
 }
+#endif
 
-void harness_guard(int count, keepout_memory *memory, const keepout_estimate *estimate, const double (*force)[3],
-                   const double (*disturbance)[3], double (*filtered)[3], int32_t *status)
+void harness_guard(int count, keepout_memory *memory, const keepout_estimate *estimate, const keepout_doubt *doubt,
+                   const double (*force)[3], const double (*disturbance)[3], double (*filtered)[3], int32_t *status)
 {
     int i;
     for (i = 0; i < count; i++) {
-        status[i] = keepout_guard_filter(&mission, &memory[i].guard, &estimate[i], force[i], disturbance[i], filtered[i]);
+        status[i] = keepout_guard_filter(&mission, &memory[i].guard, &estimate[i], &doubt[i], force[i], disturbance[i],
+                                         filtered[i]);
     }
 }
 
@@ -73,6 +105,7 @@ void harness_move(int count, keepout_estimate *state, const double (*force)[3])
     }
 }
 
+#if KEEPOUT_SENSORS == 0
 void harness_fly(int count, keepout_estimate *state, const double (*push)[3], int steps)
 {
     int i;
@@ -92,3 +125,4 @@ void harness_fly(int count, keepout_estimate *state, const double (*push)[3], in
         }
     }
 }
+#endif

@@ -12,11 +12,12 @@
 #include "mission_tables.h"
 
 #define CLOSE 1e-9
+#define RADII 1e-14 /* of the set that is begun with, which allows for ten times as much rounding */
 #define OWN 2e-14 /* of the functions of keepout_math.c */
 
 typedef struct {
     int32_t kind; /* 0: a whole step, 1: a state of the guard alone, 2: a beginning with forces under way, 3: a force for
-                   * the thrusters alone */
+                   * the thrusters alone, 4: samples and a force for navigation alone */
     int32_t control_status;
     int32_t guard_status;
     int32_t spare;
@@ -26,6 +27,11 @@ typedef struct {
     double on_time[KEEPOUT_THRUSTERS];
     double commanded[3];
     double disturbance[3];
+    keepout_doubt doubt;
+#if KEEPOUT_SENSORS > 0
+    keepout_sample samples[KEEPOUT_SENSORS];
+    keepout_knowledge known;
+#endif
     double under_way[KEEPOUT_MOST_DELAY][3];
     keepout_estimate estimate;
     keepout_memory before;
@@ -93,33 +99,121 @@ static int owed_differs(const stored_step *step)
            || FAR(step->before.thrusters.tail, step->after.thrusters.tail);
 }
 
+#if KEEPOUT_SENSORS > 0
+static int estimates_differ(const keepout_estimate *a, const keepout_estimate *b)
+{
+    return far_from(a->time, b->time) || FAR(a->position, b->position) || FAR(a->velocity, b->velocity)
+           || FAR(a->attitude, b->attitude) || FAR(a->angular_velocity, b->angular_velocity);
+}
+
+static int known_differs(const keepout_knowledge *a, const keepout_knowledge *b)
+{
+    return estimates_differ(&a->estimate, &b->estimate) || FAR(a->disturbance, b->disturbance)
+           || (a->outliers != b->outliers) || estimates_differ(&a->known, &b->known) || FAR(a->errors, b->errors)
+           || (a->contradicted != b->contradicted);
+}
+
+/* Over the product of both standard deviations. */
+static int covariances_differ(const keepout_belief *a, const keepout_belief *b)
+{
+    int wrong = 0;
+    int i;
+    int j;
+    for (i = 0; i < KEEPOUT_STATES; i++) {
+        for (j = 0; j < KEEPOUT_STATES; j++) {
+            const double spread = sqrt(b->covariance[i][i] * b->covariance[j][j]);
+            wrong |= !(fabs(a->covariance[i][j] - b->covariance[i][j]) <= (CLOSE * spread));
+        }
+    }
+    return wrong;
+}
+
+static int balls_differ(const keepout_ball *a, const keepout_ball *b, double close)
+{
+    return FAR(a->centre, b->centre) || further(a->radius, b->radius, close);
+}
+
+static int set_differs(const keepout_set_memory *a, const keepout_set_memory *b, double close)
+{
+    int wrong = balls_differ(&a->position, &b->position, close) || balls_differ(&a->velocity, &b->velocity, close)
+                || FAR(a->attitudes, b->attitudes) || (a->elapsed != b->elapsed)
+                || (a->contradictions[0] != b->contradictions[0]) || (a->contradictions[1] != b->contradictions[1]);
+#if (KEEPOUT_LATENCY > 0) || (KEEPOUT_WINDOW > 0)
+    wrong = wrong || FAR(a->accelerations, b->accelerations);
+#endif
+#if KEEPOUT_WINDOW == KEEPOUT_KEPT
+    wrong = wrong || FAR(a->centres, b->centres) || FAR(a->radii, b->radii);
+#endif
+    return wrong;
+}
+
+static int navigation_differs(const keepout_mission *mission, const keepout_navigation_memory *a,
+                              const keepout_navigation_memory *b, double close)
+{
+    int wrong = estimates_differ(&a->settled.motion, &b->settled.motion)
+                || FAR(a->settled.disturbance, b->settled.disturbance) || covariances_differ(&a->settled, &b->settled)
+                || FAR(a->forces, b->forces) || (a->steps != b->steps) || set_differs(&a->set, &b->set, close)
+                || ((mission->law->delay > 0) && FAR(a->pending, b->pending));
+    int i;
+    for (i = 0; i < KEEPOUT_SENSORS; i++) {
+        wrong |= a->settled.left_out[i] != b->settled.left_out[i];
+    }
+    return wrong;
+}
+#endif
+
 static int answers_otherwise(const keepout_mission *mission, stored_step *step)
 {
     keepout_order order;
     int wrong;
+    int wrong_knowledge = 0;
     memset(&order, 0, sizeof order);
+#if KEEPOUT_SENSORS > 0
+    keepout_knowledge known;
+    if (step->kind == 4) {
+        keepout_navigation_know(mission, &step->before.navigation, step->samples, &known);
+        keepout_navigation_told(mission, &step->before.navigation, step->force);
+        return known_differs(&known, &step->known)
+               || navigation_differs(mission, &step->before.navigation, &step->after.navigation, CLOSE);
+    }
+#endif
     if (step->kind == 3) {
         keepout_copy(step->force, order.force);
         keepout_thrusters_fire(mission->thrusters, &step->before.thrusters, &order);
         return thrusters_differ(step, &order) || owed_differs(step);
     }
     if (step->kind == 1) {
-        order.guard_status = keepout_guard_filter(mission, &step->before.guard, &step->estimate, step->commanded,
-                                                  step->disturbance, order.force);
+        order.guard_status = keepout_guard_filter(mission, &step->before.guard, &step->estimate, &step->doubt,
+                                                  step->commanded, step->disturbance, order.force);
         order.control_status = step->control_status;
     } else if (step->kind == 2) {
+#if KEEPOUT_SENSORS > 0
+        keepout_begin(mission, &step->before, &step->estimate, step->samples, (const double(*)[3])step->under_way);
+#else
         keepout_begin(mission, &step->before, &step->estimate, (const double(*)[3])step->under_way);
+#endif
         order.guard_status = step->guard_status;
         order.control_status = step->control_status;
     } else {
+#if KEEPOUT_SENSORS > 0
+        keepout_step(mission, &step->before, step->samples, &known, &order);
+        wrong_knowledge = known_differs(&known, &step->known);
+#else
         keepout_step(mission, &step->before, &step->estimate, &order);
+#endif
     }
     wrong = FAR(order.force, step->force) || (order.guard_status != step->guard_status)
             || (order.control_status != step->control_status);
+    wrong = wrong || wrong_knowledge;
     if (step->kind == 0) {
         wrong = wrong || thrusters_differ(step, &order);
     }
     if (step->kind != 1) {
+#if KEEPOUT_SENSORS > 0
+        wrong = wrong
+                || navigation_differs(mission, &step->before.navigation, &step->after.navigation,
+                                      (step->kind == 2) ? RADII : CLOSE);
+#endif
         wrong = wrong || owed_differs(step) || law_differs(mission, &step->before.law, &step->after.law);
     }
     if (mission->guard->present) {
@@ -210,6 +304,7 @@ static int network_otherwise(void)
     return far_from(keepout_network_value_and_gradient(&made, point, gradient), 2.0 * value) || FAR(gradient, told);
 }
 
+#if KEEPOUT_SENSORS == 0
 /* A law whose field has no gradient, or no value, and no guard: no way out below 0, and no number. */
 static int flat_field_otherwise(const keepout_mission *mission)
 {
@@ -248,6 +343,7 @@ static int flat_field_otherwise(const keepout_mission *mission)
     wrong += (order.control_status != KEEPOUT_LAW_NOT_FINITE) + (order.force[0] != 0.0);
     return wrong;
 }
+#endif
 
 static uint32_t checksum_of(const uint8_t *bytes, size_t size)
 {
@@ -317,7 +413,7 @@ static int images_taken_otherwise(uint8_t *image, size_t size)
         for (digest = 0u; digest < 2u; digest++) {
             uint8_t before[4];
             memcpy(before, &image[i], 4u);
-            put(&image[i], (digest == 0u) ? 0xFFFFFFFFu : 1u);
+            put(&image[i], (digest == 0u) ? 0xFFFFFFFFu : ((before[0] == 1u) ? 2u : 1u));
             put(&image[20], checksum_of(&image[24], size - 24u));
             wrong += keepout_open(image, size, &keepout_mission_layout, checksum_of(&image[24], size - 24u), &tables)
                      != KEEPOUT_IMAGE_WRONG;
@@ -403,8 +499,10 @@ int main(int count, char **words)
         wrong += fields_otherwise(&mission, told);
     }
     i = stored / sizeof(stored_step);
-    wrong += images_taken_otherwise(image, size) + functions_otherwise() + network_otherwise()
-             + flat_field_otherwise(&mission);
+    wrong += images_taken_otherwise(image, size) + functions_otherwise() + network_otherwise();
+#if KEEPOUT_SENSORS == 0
+    wrong += flat_field_otherwise(&mission);
+#endif
     (void)printf("%zu steps, %ld answers that are not as stored\n", i, wrong);
     free(image);
     free(steps);

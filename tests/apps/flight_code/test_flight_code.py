@@ -67,7 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ({"orbit": {"j2": True}}, "orbit.j2"),
         ({"drag": {"density": 1e-12}}, "drag"),
-        ({"navigation": {"suite": "far"}}, "navigation.suite"),
+        ({"navigation": {"suite": "far", "estimate": "raw"}}, "navigation.estimate"),
         ({"control": {"observer": "printed"}}, "control.observer"),
         ({"control": {"circulation": "switching"}}, "control.circulation"),
         ({"control": {"profile": "paper"}}, "control.profile"),

@@ -17,7 +17,8 @@ from flight_code_missions import MISSIONS, Exported
 from truths import boxes
 
 from keepout.apps.flight_code import rounding
-from keepout.apps.flight_code.folder import digest_of, tables_text, write_flight_code
+from keepout.apps.flight_code.folder import write_flight_code
+from keepout.apps.flight_code.mission_tables import digest_of, tables_text
 from keepout.apps.flight_code.missions import MOST_POINTS, coded
 from keepout.core.errors import ExchangeError
 from keepout.core.mission.build import prepare

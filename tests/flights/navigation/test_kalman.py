@@ -18,6 +18,7 @@ from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion
 from keepout.flights.navigation.estimators import PATIENCE, kalman_filter, transition
+from keepout.flights.navigation.suites import near
 
 FREQUENCIES = (0.02, 0.01)
 RATE = 1.13e-3
@@ -282,6 +283,19 @@ def test_a_sensor_that_lies_for_ever_costs_the_smoothing_and_no_more(lie):
     np.testing.assert_array_equal(left_out, 1)
     assert np.abs(np.asarray(estimates.position) - START[:3]).max() < 0.2
     assert np.all(np.isfinite(beliefs.covariance))
+
+
+@pytest.mark.long
+def test_samples_beyond_all_numbers_do_not_end_the_filter():
+    """Of a laser whose range squared is no number, the covariance is none either."""
+    filtering = build(near().sensors)
+    truth = NEAR.initial_state(START[:3], np.zeros(3))
+    true = [np.asarray(sensor.ideal(truth)) for sensor in filtering.sensors]
+    wild = [line(np.where(np.arange(STEPS)[:, None] < 2 * PATIENCE, 1e200, value)) for value in true]
+    _, (estimates, left_out, beliefs) = flown(filtering, started(filtering, STILL), tuple(wild), held(np.zeros(3)))
+    assert np.all(np.isfinite(beliefs.covariance))
+    assert np.all(np.asarray(left_out)[1 : 2 * PATIENCE] >= 2)
+    assert np.abs(np.asarray(estimates.position)[-1] - START[:3]).max() < 0.2
 
 
 # What it asks and what it refuses -------------------------------------------------------------------------------------

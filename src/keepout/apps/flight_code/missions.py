@@ -9,6 +9,7 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from keepout.apps.flight_code.rounding import Rounding, of_network, of_pulses, of_spline, reach_of, with_rounding
@@ -21,6 +22,8 @@ from keepout.core.control.observer import NoObserver, SampledObserver
 from keepout.core.errors import ExchangeError
 from keepout.core.fields.grid import GridField
 from keepout.core.fields.neural import NeuralField
+from keepout.core.flight.navigation import Navigation, Sensor
+from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.start import require_flyable
 from keepout.core.mission.build import Mission
@@ -28,10 +31,23 @@ from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
 from keepout.core.motion.chaser import Thrusters
+from keepout.flights.navigation.estimators import KalmanFilter
+from keepout.flights.navigation.known_set import CAPS_ROUNDING, SetMembership, largest_radii, told_by
+from keepout.flights.navigation.sensors import (
+    RangeBearing,
+    RangeRate,
+    RelativePosition,
+    RelativeVelocity,
+    TargetAttitude,
+)
 from keepout.flights.thrusters.on_off import OnOffThrusters
 
 MOST_LAYERS, MOST_WIDTH = 10, 512
 """Of a learned field that the code has room for on its stack."""
+SENSORS = (RelativePosition, RelativeVelocity, RangeBearing, RangeRate, TargetAttitude)
+"""As numbered in sources/keepout.h."""
+MOST_KEPT = 200
+"""Control periods over which the set of a suite looks back: with the filter its memory is within 16 kB."""
 MOST_POINTS = 256
 """Of an allocation: those of 12 directions, the most that there are, take about 100 kB of the mission's constants."""
 
@@ -68,7 +84,7 @@ def coded(mission: Mission) -> Coded:
     if refused := _refused(mission):
         raise ExchangeError(f"--to c: {refused}")
     setup, guard, tables, error = mission.setup, mission.guard, None, 0.0
-    law, thrusters = _law(mission), _thrusters(mission)
+    law, thrusters, navigation = _law(mission), _thrusters(mission), setup.navigation
     field = law.velocity.field
     if guard is not None:
         assert isinstance(guard.field, GridField)
@@ -78,6 +94,8 @@ def coded(mission: Mission) -> Coded:
         assumed = jax.tree.map(float, guard.assumptions)  # a setup's are arrays
         guard = Guard(held, guard.threshold, guard.lipschitz, assumed, guard.evaluation_error + error)
         guard, rounded, force = with_rounding(guard, 0.0 if isinstance(thrusters, Thrusters) else of_pulses(thrusters))
+        if navigation is not None:
+            guard, navigation = _with_set(guard, navigation)
     else:
         shared, rounded, force = False, 0.0, 0.0
     law_tables = None
@@ -93,9 +111,29 @@ def coded(mission: Mission) -> Coded:
     start_certified = mission.start_certified
     if guard is not None:
         start_certified = require_flyable(guard, mission.initial, law.goal) and not mission.assumptions_broken
-    setup = dataclasses.replace(setup, controller=flown, guard=guard, field=field, thrusters=thrusters)
+    parts = {"controller": flown, "guard": guard, "field": field, "thrusters": thrusters, "navigation": navigation}
+    setup = dataclasses.replace(setup, **parts)
     made = dataclasses.replace(mission, setup=setup, start_certified=start_certified)
     return Coded(made, law, tables, law_tables, error, Rounding(rounded, _law_rounding(field, guard), force))
+
+
+def _with_set(guard: Guard, navigation: Navigation) -> tuple[Guard, Navigation]:
+    """Count what the guard allows for the rounding of the force in the set too, and the radii that this leads to."""
+    a, bounded = guard.assumptions, navigation.bounded
+    assert isinstance(bounded, SetMembership)
+    disturbance, limits = float(a.disturbance + a.fault_push), (float(a.range_limit), float(a.speed_limit))
+    first = float(navigation.initial_errors[0]), float(navigation.initial_errors[1])
+    radii = largest_radii(told_by(bounded.suite, limits), bounded.window, disturbance, float(a.period), first)
+    assert radii is not None
+    names = ("position_error", "velocity_error")
+    errors = {
+        name: max(float(getattr(a, name)), radius * (1.0 + CAPS_ROUNDING))
+        for name, radius in zip(names, radii, strict=True)
+    }
+    assumptions: GuardAssumptions = dataclasses.replace(a, **errors)
+    guard = Guard(guard.field, guard.threshold, guard.lipschitz, assumptions, guard.evaluation_error)
+    bounded = dataclasses.replace(bounded, disturbance=disturbance)
+    return guard, dataclasses.replace(navigation, bounded=bounded)
 
 
 def _law_rounding(field: Any, guard: Guard | None) -> float:
@@ -145,8 +183,10 @@ def require_entries(scenario: Scenario) -> None:
         refused = "thrusters.survive_failure is true; the flight code fires a layout whose thrusters all work"
     elif scenario.faults.thruster is not None:
         refused = "faults.thruster is given; the flight code fires a layout whose thrusters all work: leave it out"
-    elif scenario.navigation.suite != "none":
-        refused = f'navigation.suite is "{scenario.navigation.suite}"; the flight code is told a state: "none" is valid'
+    elif scenario.navigation.suite != "none" and scenario.navigation.estimate != "filter":
+        refused = f'navigation.estimate is "{scenario.navigation.estimate}"; of suites the flight code has the "filter"'
+    elif scenario.navigation.suite != "none" and motion.held_inertially:
+        refused = 'thrusters.held_in is "inertial"; with a suite the flight code holds forces in body axes'
     elif motion.perturbations:
         refused = "orbit.j2, drag and the push of sunlight are not in the flight code; leave them out"
     elif motion.held_inertially and scenario.guard.delay:
@@ -170,6 +210,10 @@ def _refused(mission: Mission) -> str | None:
     ]
     if mission.scenario.thrusters.layout != "ideal":
         parts += [("the layout's thrusters", mission.setup.thrusters, (OnOffThrusters,))]
+    if (navigation := mission.setup.navigation) is not None:
+        parts += [("the law's estimate", navigation.estimator, (KalmanFilter,))]
+        parts += [("the guard's estimate", navigation.bounded, (SetMembership,))]
+        parts += [("a sensor", sensor, SENSORS) for sensor in navigation.suite.sensors]
     if mission.setup.guard is not None:
         parts += [("the guard", mission.setup.guard, (Guard,))]
     if mission.guard is not None:
@@ -183,6 +227,11 @@ def _refused(mission: Mission) -> str | None:
         return "the guidance is one of several legs; the flight code flies to one goal"
     if isinstance(law.observer, SampledObserver) and not _by_axis(law.observer):
         return "the law's observer mixes the axes; the flight code has one model for each axis alike"
+    kept = 0 if navigation is None else _navigation_sizes(navigation)["KEPT"]
+    if kept > MOST_KEPT:
+        return f"the suite's set looks back over {kept} control periods; {MOST_KEPT} fit into its memory"
+    if navigation is not None and len({sensor.latency for sensor in navigation.suite.sensors}) > 1:
+        return "the suite's sensors have several latencies; the flight code has one for all"
     if isinstance(mission.setup.thrusters, OnOffThrusters):
         points, groups = mission.setup.thrusters.allocation.offset.shape
         if points > MOST_POINTS:
@@ -272,7 +321,7 @@ def numbers_of(made: Coded) -> dict[str, dict[str, Any]]:
             "slowing_length": guidance.slowing_length,
         },
     }
-    if isinstance(law.observer, SampledObserver):
+    if scenario.navigation.suite == "none" and isinstance(law.observer, SampledObserver):
         names = ("transition", "mean_output", "output", "model_gain")
         parts = observer_of_an_axis(law.observer)
         told["law"]["model"] = len(parts[0])
@@ -284,7 +333,46 @@ def numbers_of(made: Coded) -> dict[str, dict[str, Any]]:
         told["guidance"]["nodes"] = np.asarray(guidance.nodes).astype(int)
     told["guard"] = _guard_numbers(made.mission.guard)
     told["thrusters"] = _thruster_numbers(made.mission)
+    if setup.navigation is not None:
+        told["navigation"] = _navigation_numbers(setup.navigation)
     return told
+
+
+def _navigation_numbers(navigation: Navigation) -> dict[str, Any]:
+    kalman, bounded = navigation.estimator, navigation.bounded
+    assert isinstance(kalman, KalmanFilter)
+    assert isinstance(bounded, SetMembership)
+    noise, errors = np.asarray(kalman.process_noise), np.asarray(navigation.initial_errors)
+    return {
+        "sensor": [
+            _sensor_numbers(sensor, float(gate)) for sensor, gate in zip(kalman.sensors, kalman.gates, strict=True)
+        ],
+        **{name: getattr(kalman, name) for name in ("mass", "period", "disturbance_variance", "attitude_share")},
+        # An array of a constant alone has no pairs; C has none of no length.
+        **{name: [0.0] if kalman.model.size == 1 else getattr(kalman.model, name) for name in ("cosine", "sine")},
+        "mean_output": kalman.model.mean_output,
+        "noise": noise[:6:3, :6:3],
+        "walk": noise[6, 6],
+        "position_error": errors[0],
+        "velocity_error": errors[1],
+        "guard_mass": bounded.mass,
+        "disturbance": bounded.disturbance,
+    }
+
+
+def _sensor_numbers(sensor: Sensor, gate: float) -> dict[str, Any]:
+    told: dict[str, Any] = {"kind": SENSORS.index(type(sensor)), "gate": gate}
+    if isinstance(sensor, RangeBearing):
+        errors = sensor.range_errors
+        theta = jnp.minimum(sensor.bearing_errors.bound(), jnp.pi)
+        told |= {"bearing_variance": sensor.bearing_errors.variance(), "bearing_square": jnp.sin(0.5 * theta) ** 2}
+    else:
+        assert isinstance(sensor, RelativePosition | RelativeVelocity | RangeRate | TargetAttitude)
+        errors = sensor.errors
+    if isinstance(sensor, RangeBearing | RelativePosition | RelativeVelocity) and sensor.axes == "vvlh":
+        told |= {"in_vvlh": True, "attitude_variance": sensor.attitude_error**2 / 5.0}
+        told["turned"] = 2.0 * jnp.sin(0.5 * sensor.attitude_error)
+    return told | {"variance": errors.variance(), "bound": errors.bound()}
 
 
 def _thruster_numbers(mission: Mission) -> dict[str, Any]:
@@ -358,4 +446,20 @@ def sizes_of(made: Coded) -> dict[str, int]:
         "MODEL": max(1, model),
         **{name.upper(): thrusters.get(name, 1) for name in ("points", "groups")},
         "THRUSTERS": max(1, thrusters["count"]),
+        **_navigation_sizes(made.mission.setup.navigation),
+    }
+
+
+def _navigation_sizes(navigation: Navigation | None) -> dict[str, int]:
+    if navigation is None:
+        return {"SENSORS": 0, "LATENCY": 0, "PUSHES": 1, "WINDOW": 0, "KEPT": 1}
+    kalman, bounded = navigation.estimator, navigation.bounded
+    assert isinstance(kalman, KalmanFilter)
+    assert isinstance(bounded, SetMembership)
+    return {
+        "SENSORS": len(kalman.sensors),
+        "LATENCY": kalman.latency,
+        "PUSHES": kalman.model.size,
+        "WINDOW": bounded.window,
+        "KEPT": max(1, bounded.window, kalman.latency),
     }

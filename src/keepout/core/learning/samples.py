@@ -20,12 +20,12 @@ from keepout.core.learning.losses import Batch, TrainingProfile
 HIDDEN_DEPTH = 0.1
 """Metres. In space that no chaser reaches, Keepout's loss only asks the field to stay below minus this (or the exact
 value nearer by)."""
-ON_LEVEL, NEAR = 20_000, 200_000
+ON_LEVEL, NEAR = 50_000, 200_000
 """Candidates on the surface, as on the chaser's contact surface, new ones every round; and those in the room next to
 the surface (`Domain.room`), at most: of the labelled samples, and they stay."""
 WORST, ROUNDS_KEPT = 1500, 3
 """Over-statements of each kind that a round keeps, and the rounds that are learned from."""
-CLIMBERS = 2048
+CLIMBERS = 4096
 """Worst candidates that climb."""
 ASCENT = (0.08, 0.05, 0.03, 0.02, 0.01, 0.005)
 """Metres. Steps by which they climb."""

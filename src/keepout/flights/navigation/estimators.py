@@ -248,13 +248,13 @@ class KalmanFilter(Estimator):
         fits = finite & (square <= self.gates[number])
         use, out = sample.came & fits, sample.came & ~fits
 
-        # K = 0 leaves everything as it was, to the bit.
+        # K = 0 leaves everything as it was, to the bit; of a sample beyond 1e150 R and the square may be no numbers.
         K = jnp.where(use, solved_back(lower, solved(lower, PH.T)).T, 0.0)
         M = P - _product(K, PH)
-        P = M - _product(M[:, :6] @ H.T - K @ R, K)
+        P = M - _product(M[:, :6] @ H.T - K @ jnp.where(use, R, 0.0), K)
         change = K @ innovation
         impatient = out & finite & (belief.left_out[number] >= PATIENCE)
-        wider = jnp.minimum(2.0 * square / self.gates[number], _MOST_WIDENING)
+        wider = jnp.fmin(2.0 * square / self.gates[number], _MOST_WIDENING)
         factors = jnp.where(impatient, self._widening(P, wider), 1.0)
         P = factors[:, None] * P * factors
 

@@ -28,7 +28,10 @@
 /* Of the mission, from mission_sizes.h: KEEPOUT_LAYERS hidden layers of a learned field, KEEPOUT_WIDTH neurons in the
  * widest, KEEPOUT_LEVELS of a spline, KEEPOUT_DELAY commands kept, KEEPOUT_WINDOWS over which the guard watches its
  * assumptions, KEEPOUT_MODEL numbers an axis in the disturbance observer, KEEPOUT_THRUSTERS of a layout in
- * KEEPOUT_GROUPS of one direction, KEEPOUT_POINTS of its allocation; each at least 1. */
+ * KEEPOUT_GROUPS of one direction, KEEPOUT_POINTS of its allocation; each at least 1. KEEPOUT_SENSORS of a suite: where
+ * there are none, nothing of navigation is compiled. KEEPOUT_LATENCY control periods from a sample to its arrival,
+ * KEEPOUT_PUSHES numbers an axis in the filter's model of the disturbance, KEEPOUT_WINDOW periods between two positions
+ * that bound the velocity, KEEPOUT_KEPT periods of which the set keeps the commands. */
 
 /* What a control step is told. */
 typedef struct {
@@ -38,6 +41,24 @@ typedef struct {
     double attitude[4];         /* body from VVLH, unit quaternion, scalar first */
     double angular_velocity[3]; /* rad/s, inertial, body axes */
 } keepout_estimate;
+
+#if KEEPOUT_SENSORS > 0
+/* What one sensor says at a control step. */
+typedef struct {
+    bool came;       /* whether a sample arrived that was taken KEEPOUT_LATENCY control periods ago */
+    double value[4]; /* of that time, in the sensor's units and axes: as many numbers as it has */
+} keepout_sample;
+
+/* What a control step knows by its samples. In Python: core/flight/navigation.py, Knowledge. */
+typedef struct {
+    keepout_estimate estimate; /* the law's */
+    double disturbance[3];     /* mean of the coming period, N */
+    int32_t outliers;          /* samples that the estimate left out */
+    keepout_estimate known;    /* the guard's: the centre of the set that holds the truth */
+    double errors[2];          /* its radii, m and m/s */
+    bool contradicted;         /* whether the samples cannot all be within their bounds */
+} keepout_knowledge;
+#endif
 
 /* What a control step answers. */
 typedef struct {
@@ -65,7 +86,7 @@ enum {
     KEEPOUT_LAW_NO_WAY_OUT = 5
 };
 
-/* In Python: guard/safety_layer.py, GuardStatus and GuardFlag. WIDE and CONTRADICTED are of sensors, which are not here. */
+/* In Python: guard/safety_layer.py, GuardStatus and GuardFlag; WIDE and CONTRADICTED are of sensors. */
 enum {
     KEEPOUT_GUARD_CLEAR = 0,
     KEEPOUT_GUARD_BRAKING = 1,
@@ -78,6 +99,8 @@ enum {
     KEEPOUT_FLAG_COMMAND = 64,
     KEEPOUT_FLAG_OFF_PLAN = 128,
     KEEPOUT_FLAG_ESTIMATE = 256,
+    KEEPOUT_FLAG_WIDE = 512,
+    KEEPOUT_FLAG_CONTRADICTED = 1024,
     KEEPOUT_FLAG_EXPIRED = 2048
 };
 
@@ -246,11 +269,58 @@ typedef struct {
     double push[KEEPOUT_THRUSTERS][3]; /* N */
 } keepout_thrusters;
 
+#if KEEPOUT_SENSORS > 0
+/* What a sensor measures. In Python: flights/navigation/sensors.py. */
+enum {
+    KEEPOUT_RELATIVE_POSITION = 0, /* three numbers, m */
+    KEEPOUT_RELATIVE_VELOCITY = 1, /* three numbers, m/s, as seen by one who turns with the body */
+    KEEPOUT_RANGE_BEARING = 2,     /* three numbers: the range times the measured direction, m */
+    KEEPOUT_RANGE_RATE = 3,        /* one number, m/s */
+    KEEPOUT_TARGET_ATTITUDE = 4    /* four numbers: body from VVLH, a quaternion, scalar first */
+};
+
+typedef struct {
+    int32_t kind;             /* a KEEPOUT_* of these */
+    bool in_vvlh;             /* measured in axes of VVLH, else in those of the body */
+    double variance;          /* of each component of the error, or of the range's, m2 or (m/s)2 */
+    double bearing_variance;  /* of each component of the bearing's, rad2 */
+    double attitude_variance; /* of each component of the attitude's, rad2; 0 in axes of the body */
+    double gate;              /* largest normalised square of a sample that is believed */
+    double bound;             /* of the error, or of the range's, m or m/s */
+    double bearing_square;    /* sin2 of half the bound of the bearing's error */
+    double turned;            /* by which the attitude's error turns a vector, over its length; 0 in axes of the body */
+} keepout_sensor;
+
+#define KEEPOUT_STATES (6 + (3 * KEEPOUT_PUSHES)) /* of the filter: r, v, xi */
+
+/* The sensors, the filter of what they say and the set. In Python: flights/navigation/estimators.py, KalmanFilter, and
+ * flights/navigation/known_set.py, SetMembership. */
+typedef struct {
+    keepout_sensor sensor[KEEPOUT_SENSORS];
+    double mass;                        /* kg */
+    double period;                      /* s */
+    double cosine[KEEPOUT_PUSHES];      /* cos omega T of the disturbance's sinusoids */
+    double sine[KEEPOUT_PUSHES];        /* sin omega T */
+    double mean_output[KEEPOUT_PUSHES]; /* of xi, in the mean over a period */
+    double noise[2][2];                 /* of position and velocity, that a period adds: m2, m2/s, m2/s2 */
+    double walk;                        /* of each component of xi, that a period adds, N2 */
+    double position_error;              /* of the first estimate at most, m */
+    double velocity_error;              /* likewise, m/s */
+    double disturbance_variance;        /* of each component of xi at the start, N2 */
+    double attitude_share;              /* of the way to a sampled attitude that is gone */
+    double guard_mass;                  /* that turns forces into the set's accelerations, kg */
+    double disturbance;                 /* D, of every other acceleration, m/s2 */
+} keepout_navigation;
+#endif
+
 typedef struct {
     const keepout_motion *motion;
     const keepout_law *law;
     const keepout_guard *guard;
     const keepout_thrusters *thrusters;
+#if KEEPOUT_SENSORS > 0
+    const keepout_navigation *navigation;
+#endif
     const keepout_guidance *guidance;
     const keepout_network *network; /* of the law, where its field is one */
     const keepout_spline *law_spline; /* likewise */
@@ -264,6 +334,9 @@ typedef struct {
     double force[3];
     double model[3][KEEPOUT_MODEL];
     double pending[KEEPOUT_DELAY][3];
+#if KEEPOUT_SENSORS > 0
+    double push[3]; /* the disturbance by the filter, N */
+#endif
     bool started;
 } keepout_law_memory;
 
@@ -290,12 +363,62 @@ typedef struct {
     double tail[KEEPOUT_THRUSTERS]; /* for which a thruster is still open in the coming period, s */
 } keepout_thruster_memory;
 
+#if KEEPOUT_SENSORS > 0
+/* What is believed of one moment. In Python: flights/navigation/estimators.py, Belief. */
+typedef struct {
+    keepout_estimate motion;
+    double disturbance[3 * KEEPOUT_PUSHES];            /* xi, of each part by axis, N */
+    double covariance[KEEPOUT_STATES][KEEPOUT_STATES]; /* of r, v, xi: m, m/s, N */
+    int32_t left_out[KEEPOUT_SENSORS];                 /* samples of each sensor that were left out in a row */
+} keepout_belief;
+
+/* A vector is within a radius of a centre. */
+typedef struct {
+    double centre[3]; /* m or m/s */
+    double radius;    /* likewise */
+} keepout_ball;
+
+/* In Python: flights/navigation/known_set.py, KnownMotion; of what is kept the newest stands last. */
+typedef struct {
+    keepout_ball position;
+    keepout_ball velocity;
+    double accelerations[KEEPOUT_KEPT][3];  /* of the commands, m/s2 */
+    double attitudes[KEEPOUT_LATENCY + 1][4];
+    double centres[KEEPOUT_KEPT][3];        /* of the position's balls, m */
+    double radii[KEEPOUT_KEPT];             /* of those balls, m */
+    int32_t elapsed;                        /* steps since the oldest ball that counts, KEEPOUT_WINDOW at most */
+    int32_t contradictions[2];              /* steps in a row that contradicted position and velocity */
+} keepout_set_memory;
+
+typedef struct {
+    keepout_belief settled; /* at the newest time of which every sample has come */
+    double forces[KEEPOUT_LATENCY + 1][3]; /* held since then, N */
+    double pending[KEEPOUT_DELAY][3]; /* commands that do not act yet, N */
+    int32_t steps;                    /* how many of the forces are real */
+    keepout_set_memory set;
+} keepout_navigation_memory;
+#endif
+
 typedef struct {
     keepout_law_memory law;
     keepout_guard_memory guard;
     keepout_thruster_memory thrusters;
+#if KEEPOUT_SENSORS > 0
+    keepout_navigation_memory navigation;
+#endif
 } keepout_memory;
 
+#if KEEPOUT_SENSORS > 0
+/* Begin: navigation from a first estimate of the motion now, law and guard from what the first step's samples make of it;
+ * tell that step the same samples. `under_way` are the forces (N) commanded before that have not taken effect yet, the
+ * oldest first, KEEPOUT_MOST_DELAY of them with the last ones at the end; NULL: none. */
+void keepout_begin(const keepout_mission *mission, keepout_memory *memory, const keepout_estimate *estimate,
+                   const keepout_sample samples[KEEPOUT_SENSORS], const double (*under_way)[3]);
+
+/* Run one control step on what each sensor says now. A sample that is not finite, or too far off, is left out. */
+void keepout_step(const keepout_mission *mission, keepout_memory *memory, const keepout_sample samples[KEEPOUT_SENSORS],
+                  keepout_knowledge *knowledge, keepout_order *order);
+#else
 /* Begin: law and guard from an estimate of the motion now. `under_way` are the forces (N) commanded before that have
  * not taken effect yet, the oldest first, KEEPOUT_MOST_DELAY of them with the last ones at the end; NULL: none. */
 void keepout_begin(const keepout_mission *mission, keepout_memory *memory, const keepout_estimate *estimate,
@@ -306,6 +429,7 @@ void keepout_begin(const keepout_mission *mission, keepout_memory *memory, const
  * place of `order->force`; do not open a thruster whose pulse is not a number. */
 void keepout_step(const keepout_mission *mission, keepout_memory *memory, const keepout_estimate *estimate,
                   keepout_order *order);
+#endif
 
 /* A mission as its image holds it: mission_tables.c has room for one. */
 typedef struct {

@@ -21,6 +21,7 @@ typedef struct {
     double doubts[2];
     int32_t counted;
     bool told;
+    bool narrow; /* whether the errors are within those declared */
     bool jumped;
     bool left_out;
 } seen_state;
@@ -34,6 +35,44 @@ typedef struct {
     bool off_plan;
     bool planned;
 } course_ahead;
+
+/* Bounds of the errors of what is told: of sensors the set's radii, else those declared. */
+static void errors_of(const keepout_guard *guard, const keepout_doubt *doubt, double errors[2])
+{
+#if KEEPOUT_SENSORS > 0
+    int32_t i;
+    (void)guard;
+    for (i = 0; i < 2; i++) {
+        errors[i] = (doubt->errors[i] < HUGE_VAL) ? doubt->errors[i] : HUGE_VAL;
+    }
+#else
+    (void)doubt;
+    errors[0] = guard->position_error;
+    errors[1] = guard->velocity_error;
+#endif
+}
+
+/* Whether these are within those declared. */
+static bool is_narrow(const keepout_guard *guard, const keepout_doubt *doubt)
+{
+#if KEEPOUT_SENSORS > 0
+    return (doubt->errors[0] <= guard->position_error) && (doubt->errors[1] <= guard->velocity_error);
+#else
+    (void)guard;
+    (void)doubt;
+    return true;
+#endif
+}
+
+static bool is_contradicted(const keepout_doubt *doubt)
+{
+#if KEEPOUT_SENSORS > 0
+    return doubt->contradicted;
+#else
+    (void)doubt;
+    return false;
+#endif
+}
 
 static double loosened(double bound)
 {
@@ -352,18 +391,20 @@ static void corrected(const keepout_guard *guard, const keepout_guard_memory *me
 
 /* Take what is told. In Python: Guard._see. */
 static void see(const keepout_guard *guard, const keepout_guard_memory *memory, const keepout_estimate *estimate,
-                seen_state *seen)
+                const keepout_doubt *doubt, seen_state *seen)
 {
     const bool finite = keepout_finite3(estimate->position) && keepout_finite3(estimate->velocity);
     const double *own_position = guard->observes ? memory->seen_position : memory->expected_position;
     const double *own_velocity = guard->observes ? memory->seen_velocity : memory->expected_velocity;
     const double T = guard->period;
-    double known[2] = {guard->position_error, guard->velocity_error};
+    double known[2];
     double moved[3];
     double changed[3];
     bool beyond;
     bool doubtful;
     int32_t i;
+    seen->narrow = is_narrow(guard, doubt);
+    errors_of(guard, doubt, known);
     if (!finite) {
         known[0] = HUGE_VAL;
         known[1] = HUGE_VAL;
@@ -466,9 +507,9 @@ static bool accepted_of(const keepout_mission *mission, double here, const seen_
 }
 
 /* In Python: watch.too_strong and watch.outside_region, and the field's flag. */
-static int32_t flags_of(const keepout_guard *guard, const keepout_estimate *estimate, double here, bool finite,
-                        const double disturbance_estimate[3], bool certified, const seen_state *seen,
-                        const course_ahead *course)
+static int32_t flags_of(const keepout_guard *guard, const keepout_estimate *estimate, const keepout_doubt *doubt,
+                        double here, bool finite, const double disturbance_estimate[3], bool certified,
+                        const seen_state *seen, const course_ahead *course)
 {
     const double known = 1.5 * guard->mass
                          * ((guard->disturbance - guard->drift) + ((2.0 * guard->velocity_error) / guard->period));
@@ -486,6 +527,8 @@ static int32_t flags_of(const keepout_guard *guard, const keepout_estimate *esti
     flags += finite ? 0 : KEEPOUT_FLAG_COMMAND;
     flags += (course->off_plan && certified) ? KEEPOUT_FLAG_OFF_PLAN : 0;
     flags += (seen->told || seen->left_out) ? 0 : KEEPOUT_FLAG_ESTIMATE;
+    flags += seen->narrow ? 0 : KEEPOUT_FLAG_WIDE;
+    flags += is_contradicted(doubt) ? KEEPOUT_FLAG_CONTRADICTED : 0;
     flags += (estimate->time > guard->valid_until) ? KEEPOUT_FLAG_EXPIRED : 0;
     return flags;
 }
@@ -500,7 +543,7 @@ static void remember(const keepout_guard *guard, keepout_guard_memory *memory, c
     keepout_copy((delay > 0) ? memory->pending[0] : chosen, acting);
     keepout_queue(memory->pending, delay, chosen);
     if (guard->observes) {
-        memory->steady = seen->told && (accepted || (follow && memory->steady));
+        memory->steady = seen->told && seen->narrow && (accepted || (follow && memory->steady));
         keepout_step_ahead(seen->position, seen->velocity, guard->period, acting, memory->seen_position,
                            memory->seen_velocity);
         memory->doubts[0] = seen->doubts[0];
@@ -520,7 +563,7 @@ static void remember(const keepout_guard *guard, keepout_guard_memory *memory, c
 
 /* In Python: Guard.filter. */
 int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memory *memory,
-                             const keepout_estimate *estimate, const double force[3],
+                             const keepout_estimate *estimate, const keepout_doubt *doubt, const double force[3],
                              const double disturbance_estimate[3], double filtered[3])
 {
     const keepout_guard *guard = mission->guard;
@@ -542,7 +585,7 @@ int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memor
     int32_t status;
     int32_t i;
 
-    see(guard, memory, estimate, &seen);
+    see(guard, memory, estimate, doubt, &seen);
     cell.known = false;
     here = keepout_spline_value(mission->guard_spline, seen.position, &cell);
 
@@ -564,7 +607,7 @@ int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memor
     }
     keepout_step_ahead(course.path[course.last], course.velocities[course.last], guard->period, candidate, position,
                        velocity);
-    if ((finite || !course.planned) && seen.told) {
+    if ((finite || !course.planned) && seen.told && seen.narrow && !is_contradicted(doubt)) {
         accepted = accepted_of(mission, here, &seen, &course, position, velocity);
     }
 
@@ -588,7 +631,7 @@ int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memor
     } else {
         status = KEEPOUT_GUARD_ESCAPING;
     }
-    status += flags_of(guard, estimate, here, finite, disturbance_estimate, memory->certified, &seen, &course);
+    status += flags_of(guard, estimate, doubt, here, finite, disturbance_estimate, memory->certified, &seen, &course);
     remember(guard, memory, &seen, accepted, follow, chosen);
     if (follow) {
         keepout_step_ahead(memory->plan_position, memory->plan_velocity, guard->period, brake, memory->plan_position,

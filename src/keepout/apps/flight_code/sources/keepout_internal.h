@@ -6,6 +6,12 @@
 
 #define KEEPOUT_PI 3.14159265358979323846
 
+#if KEEPOUT_KEPT > KEEPOUT_MOST_DELAY
+#define KEEPOUT_MOST_QUEUED KEEPOUT_KEPT /* vectors in a queue */
+#else
+#define KEEPOUT_MOST_QUEUED KEEPOUT_MOST_DELAY
+#endif
+
 /* keepout_math.c: functions of our own, since libraries differ in the last digits of theirs. */
 bool keepout_is_nan(double x);
 bool keepout_finite(double x);
@@ -55,6 +61,11 @@ double keepout_spline_value_and_gradient(const keepout_spline *field, const doub
 void keepout_drift(const keepout_motion *motion, const keepout_estimate *state, double drift[3]);
 void keepout_move(const keepout_motion *motion, keepout_estimate *state, const double force[3], double period,
                   double mass);
+#if KEEPOUT_SENSORS > 0
+void keepout_matrix(const double attitude[4], double body_from_vvlh[3][3]);
+double keepout_turning(const keepout_motion *motion, const keepout_estimate *state, double body_from_vvlh[3][3],
+                       double rate[3], double acceleration[3]);
+#endif
 
 /* keepout_law.c */
 void keepout_law_begin(const keepout_mission *mission, keepout_law_memory *memory, const keepout_estimate *estimate,
@@ -63,12 +74,36 @@ void keepout_law_step(const keepout_mission *mission, keepout_law_memory *memory
                       keepout_order *order);
 void keepout_law_told(const keepout_law *law, keepout_law_memory *memory, const double force[3]);
 
-/* keepout_guard.c */
+/* keepout_guard.c. How much of an estimate by sensors is known: bounds of its errors in position (m) and velocity (m/s),
+ * and whether what it is made of contradicts itself. Without sensors nothing of it is looked at. */
+typedef struct {
+    double errors[2];
+    bool contradicted;
+} keepout_doubt;
+
 void keepout_guard_begin(const keepout_mission *mission, keepout_guard_memory *memory, const keepout_estimate *estimate,
                          const double (*under_way)[3]);
 int32_t keepout_guard_filter(const keepout_mission *mission, keepout_guard_memory *memory,
-                             const keepout_estimate *estimate, const double force[3],
+                             const keepout_estimate *estimate, const keepout_doubt *doubt, const double force[3],
                              const double disturbance_estimate[3], double filtered[3]);
+
+#if KEEPOUT_SENSORS > 0
+/* keepout_navigation.c */
+int32_t keepout_expected(const keepout_sensor *sensor, const keepout_estimate *state, double value[4],
+                         double slopes[3][6]);
+void keepout_navigation_begin(const keepout_mission *mission, keepout_navigation_memory *memory,
+                              const keepout_estimate *estimate, const double (*under_way)[3]);
+void keepout_navigation_know(const keepout_mission *mission, keepout_navigation_memory *memory,
+                             const keepout_sample samples[KEEPOUT_SENSORS], keepout_knowledge *knowledge);
+void keepout_navigation_told(const keepout_mission *mission, keepout_navigation_memory *memory, const double force[3]);
+
+/* keepout_known_set.c */
+void keepout_set_begin(const keepout_navigation *navigation, keepout_set_memory *memory,
+                       const keepout_estimate *estimate);
+void keepout_set_know(const keepout_navigation *navigation, keepout_set_memory *memory,
+                      const keepout_sample samples[KEEPOUT_SENSORS], keepout_knowledge *knowledge);
+void keepout_set_told(const keepout_navigation *navigation, keepout_set_memory *memory, const double force[3]);
+#endif
 
 /* keepout_thrusters.c */
 void keepout_thrusters_begin(keepout_thruster_memory *memory);

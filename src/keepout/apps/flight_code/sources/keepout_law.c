@@ -336,6 +336,18 @@ static double output_of(const keepout_law *law, const double weights[KEEPOUT_MOD
     return sum;
 }
 
+/* A force and the disturbance that a filter has estimated, N. */
+static double pushed(const keepout_law_memory *memory, int32_t axis, double force)
+{
+#if KEEPOUT_SENSORS > 0
+    return force + memory->push[axis];
+#else
+    (void)memory;
+    (void)axis;
+    return force;
+#endif
+}
+
 static int32_t status_of(const velocity_point *point, bool finite, bool saturated)
 {
     int32_t status = saturated ? KEEPOUT_LAW_SATURATED : KEEPOUT_LAW_NOMINAL;
@@ -382,8 +394,8 @@ static void controlled(const keepout_mission *mission, keepout_law_memory *memor
     }
     tracked(law, &point, position_error, velocity, drift, wanted, order);
     for (axis = 0; axis < 3; axis++) {
-        order->disturbance_estimate[axis] = output_of(law, law->output, model[axis]);
-        wanted[axis] = wanted[axis] - output_of(law, law->mean_output, model[axis]);
+        order->disturbance_estimate[axis] = pushed(memory, axis, output_of(law, law->output, model[axis]));
+        wanted[axis] = wanted[axis] - pushed(memory, axis, output_of(law, law->mean_output, model[axis]));
         saturated = saturated || (((wanted[axis] < 0.0) ? -wanted[axis] : wanted[axis]) > law->force_limit[axis]);
     }
     finite = keepout_finite3(wanted) && (point.status != NOT_A_NUMBER);
@@ -418,7 +430,12 @@ static void move_ahead(const keepout_mission *mission, const keepout_law_memory 
 {
     int32_t i;
     for (i = 0; (i < mission->law->delay) && (i < KEEPOUT_DELAY); i++) {
-        keepout_move(mission->motion, estimate, memory->pending[i], mission->law->period, mission->law->mass);
+        double force[3];
+        int32_t axis;
+        for (axis = 0; axis < 3; axis++) {
+            force[axis] = pushed(memory, axis, memory->pending[i][axis]);
+        }
+        keepout_move(mission->motion, estimate, force, mission->law->period, mission->law->mass);
     }
 }
 

@@ -363,10 +363,10 @@ void keepout_zero(double out[3])
 void keepout_queue(double pending[][3], int32_t count, const double newest[3])
 {
     int32_t i;
-    for (i = 1; (i < count) && (i < KEEPOUT_MOST_DELAY); i++) {
+    for (i = 1; (i < count) && (i < KEEPOUT_MOST_QUEUED); i++) {
         keepout_copy(pending[i], pending[i - 1]);
     }
-    if ((count > 0) && (count <= KEEPOUT_MOST_DELAY)) {
+    if ((count > 0) && (count <= KEEPOUT_MOST_QUEUED)) {
         keepout_copy(newest, pending[count - 1]);
     }
 }

@@ -304,3 +304,21 @@ void keepout_move(const keepout_motion *motion, keepout_estimate *state, const d
         *state = end;
     }
 }
+
+#if KEEPOUT_SENSORS > 0
+/* In Python: motion/rotation.py, matrix. */
+void keepout_matrix(const double attitude[4], double body_from_vvlh[3][3])
+{
+    matrix_of(attitude, body_from_vvlh);
+}
+
+/* How the target turns, and its distance from the Earth's centre, m. In Python: RelativeMotion.orbital_frame and rates. */
+double keepout_turning(const keepout_motion *motion, const keepout_estimate *state, double body_from_vvlh[3][3],
+                       double rate[3], double acceleration[3])
+{
+    const orbital_frame frame = frame_at(motion, state->time);
+    matrix_of(state->attitude, body_from_vvlh);
+    rates_of(motion, state, (const double(*)[3])body_from_vvlh, &frame, rate, acceleration);
+    return frame.radius;
+}
+#endif

@@ -154,10 +154,19 @@ int main(int count, char **words)
         return 1;
     }
     keepout_mission_with(&tables, &mission);
-    keepout_begin(&mission, &memory, &selftest_estimates[0], NULL);
+#if KEEPOUT_SENSORS > 0
+    keepout_begin(&mission, &memory, &selftest_begin, selftest_told[0], NULL);
+#else
+    keepout_begin(&mission, &memory, &selftest_begin, NULL);
+#endif
     for (i = 0; i < SELFTEST_STEPS; i++) {
         keepout_order order;
-        keepout_step(&mission, &memory, &selftest_estimates[i], &order);
+#if KEEPOUT_SENSORS > 0
+        keepout_knowledge known;
+        keepout_step(&mission, &memory, selftest_told[i], &known, &order);
+#else
+        keepout_step(&mission, &memory, &selftest_told[i], &order);
+#endif
         wrong += compare(&order, &selftest_orders[i], &hash);
     }
     free(image);

@@ -46,11 +46,19 @@ static void on_navigation(const keepout_app_navigation *told)
 {
     keepout_app_force given;
     keepout_order order;
+#if KEEPOUT_SENSORS > 0
+    keepout_knowledge known;
+    if (!app.begun) {
+        keepout_begin(&app.mission, &app.memory, &told->estimate, told->samples, NULL);
+    }
+    keepout_step(&app.mission, &app.memory, told->samples, &known, &order);
+#else
     if (!app.begun) {
         keepout_begin(&app.mission, &app.memory, &told->estimate, NULL);
-        app.begun = true;
     }
     keepout_step(&app.mission, &app.memory, &told->estimate, &order);
+#endif
+    app.begun = true;
     keepout_app_begin_message(&given);
     given.order = order;
     (void)CFE_SB_TransmitMsg(&given.header, true);

@@ -38,7 +38,10 @@ void CFE_ES_ExitApp(uint32_t status);
 #define KEEPOUT_APP_IMAGE_SIZE ((size_t)16u * 1024u * 1024u)
 typedef struct {
     CFE_MSG_Message_t header;
-    keepout_estimate estimate;
+    keepout_estimate estimate; /* with sensors only the first one counts */
+#if KEEPOUT_SENSORS > 0
+    keepout_sample samples[KEEPOUT_SENSORS];
+#endif
 } keepout_app_navigation;
 typedef struct {
     CFE_MSG_Message_t header;

@@ -28,11 +28,21 @@ class Steering final : public SteeringComponentBase {
     void schedIn_handler(FwIndexType, U32) override {
         const keepout_estimate estimate = navigationGet_out(0);
         keepout_order order;
+#if KEEPOUT_SENSORS > 0
+        keepout_sample samples[KEEPOUT_SENSORS];
+        keepout_knowledge known;
+        samplesGet_out(0, samples);
+        if (!begun_) {
+            keepout_begin(&mission_, &memory_, &estimate, samples, nullptr);
+        }
+        keepout_step(&mission_, &memory_, samples, &known, &order);
+#else
         if (!begun_) {
             keepout_begin(&mission_, &memory_, &estimate, nullptr);
-            begun_ = true;
         }
         keepout_step(&mission_, &memory_, &estimate, &order);
+#endif
+        begun_ = true;
         forceOut_out(0, order.force[0], order.force[1], order.force[2]);
         tlmWrite_GuardStatus(order.guard_status);
     }

@@ -23,7 +23,10 @@ class SteeringComponentBase {
 
   protected:
     virtual void schedIn_handler(FwIndexType port, U32 context) = 0;
-    keepout_estimate navigationGet_out(FwIndexType port);
+    keepout_estimate navigationGet_out(FwIndexType port);  // with sensors only the first one counts
+#if KEEPOUT_SENSORS > 0
+    void samplesGet_out(FwIndexType port, keepout_sample* samples);
+#endif
     void forceOut_out(FwIndexType port, double x, double y, double z);
     void tlmWrite_GuardStatus(I32 status);
 };
