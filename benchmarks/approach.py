@@ -3,13 +3,13 @@
     python benchmarks/approach.py [--targets iss intelsat30] [--parts approach abort step] [--flights 1000]
         [--aborts 200] [--steps 20000] [--json] [--out benchmarks/results/approach.json]
 
-Three rows for each target. `approach`: the start is drawn within a ball, the chaser's mass among five, the disturbance's
-phase over a turn. `abort`: the same, each abandoned at a moment of its own; it flies back to the hold point before. All
-are audited between samples, mesh, zones and corridors alike. `delta_v_over_straight` is the median Δv over the estimate
-for the legs flown straight, each from rest to rest, without zones. `delta_v_over_without_zones` and
+Three rows for each target. `approach`: the start is drawn within a ball, the chaser's mass among five, the
+disturbance's phase over a turn. `abort`: the same, each abandoned at a moment of its own; it flies back to the hold
+point before. All are audited between samples, mesh, zones and corridors alike. `delta_v_over_straight` is the median Δv
+over the estimate for the legs flown straight, each from rest to rest, without zones. `delta_v_over_without_zones` and
 `time_over_without_zones` are medians over those of 200 such flights without zones, corridors and the rule of speeds.
 `step`: the on-board step along such a flight, `step_p99_us` with zones and `step_p99_without_us` on the same legs
-without, both of this run; on a machine that does something else as well the latter is what to compare with.
+without, both of this run.
 """
 
 import functools

@@ -71,6 +71,7 @@ def test_steps_and_samples_on_thresholds_are_pythons(flown: Exported):
     assert edges.memory < 1e-8, f"{edges.memory:.1e} in {edges.worst}"
 
 
+@pytest.mark.slow
 @compiler
 def test_whole_flights_end_where_pythons_end(flown: Exported):
     assert navigation.sampled_loops(flown, navigation.SampledFlights(flown.made), 60) < 1e-9

@@ -131,6 +131,7 @@ def test_marks_jump(opened):
     assert opened.locator(".status").inner_text() == "guard: command passed on"
 
 
+@pytest.mark.slow
 def test_a_toggle_takes_away_what_it_names(opened):
     slide(opened, 100.0)
     opened.set_viewport_size({"width": 640, "height": 480})
