@@ -113,7 +113,9 @@ APPROACH = {
     "delta_v_over_straight": "Δv / straight legs",
     "delta_v_over_without_zones": "Δv / without zones",
     "time_over_without_zones": "time / without zones",
-    "step_p99_us": "step p99 µs",
+    "step_p50_us": "step p50 µs",
+    "step_p50_without_us": "p50 without zones µs",
+    "step_p99_us": "p99 µs",
     "step_p99_without_us": "p99 without zones µs",
 }
 
