@@ -98,7 +98,7 @@ STUCK = {
 APPROACH = {
     "target": "target",
     "part": "part",
-    "flights": "flights",
+    "flights": "flights, or steps",
     "refused": "refused",
     "contacts": "contacts",
     "undecided": "undecided",
