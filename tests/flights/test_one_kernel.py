@@ -21,7 +21,7 @@ IN_ONE = {
     "all and any": lambda x: (jnp.all(x.reshape(3, 4) > 0.0, axis=1), jnp.any(x > 0.0)),
     "product of matrices": lambda x: jnp.asarray(MATRIX) @ x.reshape(4, 3),
     "branch": lambda x: jax.lax.cond(x[0] > 0.0, jnp.sin, jnp.cos, x),
-    "sums in a branch": lambda x: where_needed(lambda m, x: jnp.sum(m * x[:4]), x[0] > 0.0, x[1], MATRIX, x),
+    "sums in a branch": lambda x: where_needed(lambda m, x: jnp.sum(m + x[:4], axis=1), x[0] > 0.0, x[:4], MATRIX, x),
     "constants": lambda x: (jnp.asarray(MATRIX) + x[:4]) * X[4:8] + jnp.asarray([1, 2])[jnp.asarray(x[0] > 0.0, int)],
     "loop": lambda x: jax.lax.while_loop(lambda y: jnp.sum(y * y) < 100.0, lambda y: 1.1 * y, x),
     "scan": lambda x: jax.lax.scan(lambda total, y: (total + y, total * y), 0.0, x),

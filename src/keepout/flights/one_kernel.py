@@ -2,7 +2,8 @@
 
 XLA runs a program as a row of kernels over a table of buffers. Where every array holds a few numbers, filling the table
 and going from kernel to kernel take several times as long as the arithmetic. Three rewrites, which leave the arithmetic
-alone, and its order too but for products of matrices, in the branches of conditions as well:
+alone, and its order too but for products of matrices, in the branches of conditions as well. (Compiled in one piece, a
+product may be contracted with the sum that it goes into, and so differ in its last bit.)
 
 - a sum, product, extreme or conjunction over a few elements becomes a row of binary operations: every reduction brings
   three buffers of its own, those of its binary function;
