@@ -174,6 +174,7 @@ def test_half_an_orbit_round_a_box_sees_part_of_it_without_contact():
     assert not np.any(found.seen & (problem.seeable.verdict == Verdict.HIDDEN))
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_hold_points_fast_ellipses_and_stand_offs_that_nothing_keeps_are_refused(monkeypatch):
     monkeypatch.setattr(circumnavigation, "TILTS", circumnavigation.TILTS[:1])

@@ -211,6 +211,7 @@ def flight():
     return SimpleNamespace(record=record, plans=plans)
 
 
+@pytest.mark.slow
 def test_a_map_that_is_no_later_one_is_refused():
     later = opened(lambda p: p[..., 1] >= 2.0)
     after = led_by_first_map().by(later)

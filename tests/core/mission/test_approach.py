@@ -118,6 +118,7 @@ ROUGH = {**TREE, "field": {"source": str(LEARNED)}, "zone": [], "leg": [{**LEGS[
 """A field that says far less than the distance, and a hold a quarter of a metre from where the chaser would touch."""
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_room_that_is_proved_clear_is_flown_where_the_field_says_less():
     with pytest.raises(KeepoutError, match=r'leg "capture": .* inside the keep-out zone'):
@@ -245,6 +246,7 @@ def test_drifts_from_a_flight_are_judged_leg_by_leg(flight):
 STOPPED = {"duration": 900.0, "zone": [], "corridor": [], "approach": {"abort_time": 300.0}}
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_leg_is_flown_so_slowly_that_a_drift_from_it_is_safe():
     """Straight towards a box at v, a drift of 300 s goes on for 300 v or so: there is room for that at 6 m."""

@@ -41,6 +41,7 @@ def test_runs_of_a_campaign_hold_and_enter_nothing():
     assert list(words) == ["zones", "holds"]
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_campaign_round_a_mesh_without_legs_is_another_once_the_mesh_has_changed(tmp_path):
     mesh, place = tmp_path / "arm.stl", {"target": {"source": "box"}, "field": {"source": "grid"}, "duration": 50.0}

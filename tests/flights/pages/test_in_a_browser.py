@@ -97,6 +97,7 @@ def test_the_page_says_what_was_flown_and_runs_nothing_that_a_name_holds(opened)
     assert state(opened)["flights"] == [EVIL, "low"]
 
 
+@pytest.mark.slow
 def test_the_slider_moves_the_chaser(opened):
     before = picture(opened)
     for time in (0.0, 50.0, 123.5, 200.0):
@@ -187,6 +188,7 @@ def test_on_a_phone_nothing_is_wider_than_the_screen_and_the_switches_are_folded
     page.close()
 
 
+@pytest.mark.slow
 def test_a_chaser_behind_the_target_is_still_marked(opened):
     slide(opened, 100.0)
     for name in ("thrust", "velocity", "closest", "envelope", "path", "ends"):
