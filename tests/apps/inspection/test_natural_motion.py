@@ -88,6 +88,7 @@ def test_the_exact_motion_comes_back_after_an_orbit_whatever_orbit_and_body_do(e
     assert away[after] == pytest.approx(away[0], abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.usefixtures("few")
 def test_the_law_coasts_and_steers_back_only_beyond_its_band():

@@ -74,7 +74,10 @@ def test_every_end_is_said_and_nothing_is_touched(changes, outcome):
 @pytest.mark.parametrize(
     ("changes", "at", "said"),
     [
-        ({"duration": 60.0}, (4.0, 0.0, 0.0), ("map.radius 5", "outside the declared ball")),
+        pytest.param(
+            *({"duration": 60.0}, (4.0, 0.0, 0.0), ("map.radius 5", "outside the declared ball")),
+            marks=pytest.mark.slow,
+        ),
         ({"duration": 60.0, "depth_sensor": {"broken": "late"}}, (0.0, 0.0, 0.0), ("late",)),
     ],
 )

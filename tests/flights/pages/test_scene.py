@@ -158,6 +158,7 @@ def test_a_surface_lies_on_its_level_with_its_normals_outward(box, folder):
         assert len(drawn.faces) < 20_000
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_the_page_says_what_it_leaves_out(folder, tmp_path, monkeypatch, coarse_surfaces):
     records = {"whole": passed(folder, "whole")}
