@@ -60,6 +60,7 @@ CANNOT_BE_MEANT = [
     (("measure", "box"), "box is not a .keepout file; `keepout describe box`"),
     (("describe", "box.keepout"), "box.keepout is a field; `keepout measure box.keepout`"),
     (("describe", "box", "--scale", "-1"), "keepout: --scale: -1"),
+    (("describe", "mission.toml", "--units", "mm"), "--units: not with the scenario mission.toml"),
     (("replay", "a.parquet", "-o", "page.txt"), ".html"),
     (("campaign", "absent.toml", "--runs", "1000000001"), "1000000001"),
     (("campaign", CASE, "--keep", "best:3"), "best:3"),

@@ -116,17 +116,13 @@ class _Placed:
     def entry(self, target: str, settings: list[str] | None) -> "TargetEntry":
         """Make the entry `[target]` of a mesh, or give a scenario's with `settings`."""
         told = {key.removeprefix("target_"): value for key, value in vars(self).items()}
-        given = {key: value for key, value in told.items() if value is not None and value is not False}
-        if not target.lower().endswith(".toml"):
-            for setting in settings or ():
-                raise UsageError(f"--set {setting}: only with a scenario file (.toml) as --target, not {target}")
-            if "rotation" in given:
-                given["rotation"] = tuple(given["rotation"][row : row + 3] for row in (0, 3, 6))
-            return options.target_entry({"source": target, **given}, options="--target-")
-        for key in given:
-            name = f"--target-{key.replace('_', '-')}"
-            raise UsageError(f"{name}: not with the scenario {target}, whose [target] says how its mesh lies")
-        return options.mission_of(Path(target), None, settings).target
+        if target.lower().endswith(".toml"):
+            return options.mission_for_mesh(target, told, options="--target-", settings=settings).target
+        for setting in settings or ():
+            raise UsageError(f"--set {setting}: only with a scenario file (.toml) as --target, not {target}")
+        if told["rotation"] is not None:
+            told["rotation"] = tuple(told["rotation"][row : row + 3] for row in (0, 3, 6))
+        return options.target_entry({"source": target, **told}, options="--target-")
 
 
 @app.command(

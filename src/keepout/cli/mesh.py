@@ -29,13 +29,10 @@ def _read(mesh: str, read: MeshFile) -> tuple["TargetEntry", float]:
     if not mesh.lower().endswith(".toml"):
         return read.entry(mesh), _RADIUS
     from keepout.core.mission.first_look import require_mesh
-    from keepout.core.mission.scenario import Scenario
-    from keepout.verbs.meshes import mesh_entry
 
-    scenario = Scenario.load(mesh)
-    entry = mesh_entry(scenario, **{name: of or None for name, of in vars(read).items()})
-    require_mesh(entry.source)
-    return entry, scenario.chaser.radius
+    scenario = options.mission_for_mesh(mesh, vars(read))
+    require_mesh(scenario.target.source)
+    return scenario.target, scenario.chaser.radius
 
 
 @app.command(epilog=example("keepout targets", "keepout targets --pictures out/targets"))

@@ -172,6 +172,28 @@ def target_entry(source: Mapping[str, Any], *, options: str = "--") -> "TargetEn
     return entry
 
 
+def mission_for_mesh(
+    path: str, read: Mapping[str, Any], *, options: str = "--", settings: Sequence[str] | None = None
+) -> "Scenario":
+    """Load a scenario whose `[target]` is meant in place of a mesh.
+
+    Args:
+        path: of its TOML file.
+        read: how a mesh is read, named like the entries of `[target]`, which says it here; none may be given.
+        options: as of `target_entry`.
+        settings: as of `mission_of`.
+
+    Raises:
+        UsageError: something of `read` is given, or a setting is not valid.
+        ScenarioError: the file is not a scenario.
+
+    """
+    for key in (key for key, value in read.items() if value is not None and value is not False):
+        name = f"{options}{key.replace('_', '-')}"
+        raise UsageError(f"{name}: not with the scenario {path}, whose [target] says how its mesh lies")
+    return mission_of(Path(path), None, settings)
+
+
 Settings = Annotated[
     list[str] | None,
     typer.Option(

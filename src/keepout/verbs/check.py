@@ -38,8 +38,8 @@ from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.campaign.dispersion import Design, refused_values
 from keepout.flights.campaign.dispersion import design as campaign_design
-from keepout.flights.campaign.dispersion import refused_values
 from keepout.flights.pages.mission_words import in_words
 from keepout.flights.pages.page import bracketed
 
@@ -302,11 +302,10 @@ def check(
     target = load_target(scenario.target) if target is None else target
     words = in_words(scenario, target)
     broken = broken_assumptions(scenario, target) if _bounded(scenario) else ()
-    found: list[Refusal] = []
-    varied, unusable = _varied(scenario)
-    words += varied
-    if unusable is not None:
-        found.append(Refusal(unusable))
+    campaign, found = _campaign(scenario)
+    if campaign is not None:
+        names = ", ".join(one.name for one in campaign.dispersions)
+        words += (f"A campaign of {campaign.runs} flights varies {names} ({campaign.sampling}).",)
     progress(0.1, "numbers")
     refused = number_refusal(scenario, target)
     if refused is not None:
@@ -349,23 +348,19 @@ def check(
         expected=estimate,
         remarks=(
             *_remarks(mission, estimate),
-            *(refused_values(scenario, campaign_design(scenario)) if varied else ()),
+            *(() if campaign is None else refused_values(scenario, campaign)),
         ),
     )
 
 
-def _varied(scenario: Scenario) -> tuple[tuple[str, ...], str | None]:
-    """Say what a campaign of the scenario varies, if it says so itself; or why it could not."""
-    entry = scenario.campaign
-    if not entry.dispersions:
-        return (), None
+def _campaign(scenario: Scenario) -> tuple[Design | None, list[Refusal]]:
+    """Read what a campaign of the scenario varies, if it says so itself, or say why it cannot be read."""
+    if not scenario.campaign.dispersions:
+        return None, []
     try:
-        campaign_design(scenario)
+        return campaign_design(scenario), []
     except ScenarioError as refusal:
-        return (), str(refusal)
-    return (
-        f"A campaign of {entry.runs} flights varies {', '.join(sorted(entry.dispersions))} ({entry.sampling}).",
-    ), None
+        return None, [Refusal(str(refusal))]
 
 
 def _prepared(scenario: Scenario, target: Target, model: FieldModel, progress: Progress = silent) -> Mission:
