@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -250,7 +250,7 @@ def complete(
         KeepoutError: another process flies it, or a file cannot be written.
 
     """
-    began, out = time.perf_counter(), dataset.folder
+    began, out, plan = time.perf_counter(), dataset.folder, replace(plan, keep=keep)
     shared, ended = never_back(progress), Event()
 
     def tell(standing: Standing) -> None:
@@ -270,7 +270,7 @@ def complete(
         from keepout.flights.pages.campaign_figures import DRAWN, draw_campaign
         from keepout.flights.pages.campaign_page import report_campaign
 
-        # What is kept is flown again beside the drawing: the one takes XLA's threads, the other Python's.
+        # What is not kept yet is flown again beside the drawing: the one takes XLA's threads, the other Python's.
         keeping = aside.submit(keep_flights, plan, dataset, keep, told=tell_kept)
         bands = out / "bands.json"
         write_whole(bands, json.dumps(dataset.bands().figures(), allow_nan=False) + "\n")

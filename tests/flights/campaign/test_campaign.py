@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from keepout.core.errors import FlightError, ScenarioError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.campaign.dataset import Dataset
-from keepout.flights.campaign.flying import fly_chunk
+from keepout.flights.campaign.flying import fly_chunk, least_clear, replay
 from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.run import fly_campaign, keep_flights, keep_of
 from keepout.flights.campaign.table import of_bytes, summary
@@ -90,9 +91,9 @@ def test_a_chunk_is_a_function_of_plan_and_number_whoever_flies_it(plan, flown):
 
 def test_a_run_is_the_same_in_chunks_of_another_size(scenario, flown):
     whole = Plan.of(scenario.replace(campaign={"runs": 9}), batch=BATCH)
-    object.__setattr__(whole, "chunk", 12)
+    object.__setattr__(whole, "chunk", 8)
     rows = of_bytes(fly_chunk(whole, 0).table).replace_schema_metadata(None)
-    assert rows.equals(flown[0].table().slice(0, 9))
+    assert rows.equals(flown[0].table().slice(0, 8))
 
 
 def test_a_campaign_in_memory_has_the_rows_of_one_in_a_folder(scenario, flown):
@@ -118,6 +119,19 @@ def test_the_worst_flights_are_kept_and_no_others(plan, flown):
     assert keep_of("none") == 0
     with pytest.raises(ScenarioError, match="worst:N"):
         keep_of("worst:0")
+
+
+def test_of_one_chunk_flights_are_kept_as_they_land_with_the_bits_of_a_replay(scenario, tmp_path):
+    plan = replace(Plan.of(scenario.replace(campaign={"runs": 8}), batch=BATCH), keep=2)
+    dataset = Dataset.begin(tmp_path, plan)
+    fly_campaign(plan, dataset)
+    kept = {run: dataset.kept_record(run) for run in least_clear(dataset.table(), 2)}
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {dataset.kept(run).name for run in kept}
+    for flown in replay(plan, sorted(kept)):
+        assert flown.apart == 0.0
+        for name, column in kept[flown.run.number].columns.items():
+            np.testing.assert_array_equal(column, flown.flight.record.columns[name])
+    assert not replace(plan, scenario=scenario.replace(campaign={"runs": 8}, duration=1e6)).in_full
 
 
 def test_a_torn_or_foreign_part_is_flown_again(plan, flown, tmp_path):

@@ -34,8 +34,8 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent
 
-SIZES = (8, 32, 128)
-"""Flights in a batch on a CPU: the least that takes all, so that any number of flights share three programs."""
+SIZES = (8, 32, 64, 128)
+"""Flights in a batch on a CPU: the least of which two take all, so that two cores have work and programs are few."""
 BATCH = SIZES[-1]
 
 TARGET = ("time", "attitude", "angular_velocity", "target_orbit")
@@ -81,8 +81,8 @@ class Batching(NamedTuple):
         alike: which entries of `TARGET` are the same in all flights and computed once for all of them; the first
             flight's are taken. By default those that are the same in the flights given (`alike_among`). A campaign
             flown in parts names those of the whole: the last digits depend on what is shared.
-        batch: flights in a batch, by which the program is compiled; on a CPU the least of `SIZES` that takes all, or
-            the largest, elsewhere all. A last batch that is not full is filled up.
+        batch: flights in a batch, by which the program is compiled; on a CPU the least of `SIZES` of which two take
+            all, or the largest, elsewhere all. A last batch that is not full is filled up.
         workers: batches in flight at once; by default the number of cores this process may use, elsewhere 1.
 
     """
@@ -176,7 +176,7 @@ def fly_batches(
 
 def usual_batch(flights: int) -> int:
     """Give the size of the batches in which so many flights are flown on a CPU unless another is asked for."""
-    return next((size for size in SIZES if flights <= size), BATCH)
+    return next((size for size in SIZES if flights <= 2 * size), BATCH)
 
 
 def alike_among(initial: MotionState) -> tuple[str, ...]:

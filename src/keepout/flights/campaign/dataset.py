@@ -37,7 +37,6 @@ from keepout.flights.campaign import table
 from keepout.flights.campaign.bands import Bands
 from keepout.flights.campaign.flying import ChunkResult
 from keepout.flights.campaign.plan import FORMAT, Plan
-from keepout.flights.campaign.statistics import Factor
 
 
 @dataclass(frozen=True)
@@ -198,6 +197,16 @@ class Dataset:
         """Where the flight file of a run is, if it is kept."""
         return self.folder / "kept" / f"run-{run:010d}.parquet"
 
+    def keep(self, run: int, record: FlightRecord) -> None:
+        """Write the flight file of a run.
+
+        Raises:
+            FlightError: it cannot be written.
+
+        """
+        self.kept(run).parent.mkdir(parents=True, exist_ok=True)
+        record.save(self.kept(run))
+
     def kept_record(self, run: int) -> FlightRecord | None:
         """Read the flight file of a run; None where it is not kept, being written, or of another campaign."""
         try:
@@ -316,12 +325,17 @@ class Dataset:
             found |= {name: columns} if chosen and columns else {column: (column,) for column in columns}
         return found
 
-    def factor(self, name: str, arrays: Mapping[str, Any]) -> Factor:
-        """Give what was drawn for one of `factor_columns`, from `arrays` that have its columns."""
+    def drawn(self, name: str, arrays: Mapping[str, Any]) -> tuple[Any, tuple[str, ...] | None]:
+        """Give what was drawn for one of `factor_columns`, from `arrays` that have its columns.
+
+        Returns:
+            One entry a run; of a choice the place of the chosen value among those that follow as text, else None.
+
+        """
         columns = [arrays[column] for column in self.factor_columns[name]]
         given = self.scenario.campaign.dispersions.get(name)
         if given is None or given.choice is None:
-            return Factor(name, columns[0])
+            return columns[0], None
         places, texts = np.zeros(len(columns[0]), np.int64), [""]
         for of in columns:  # of a vector, three
             if isinstance(of, Words):
@@ -333,7 +347,7 @@ class Dataset:
             places = places * len(own) + codes
             texts = [f"{text}, {value}" if text else str(value) for text in texts for value in own]
         used, places = np.unique(places, return_inverse=True)
-        return Factor(name, places, tuple(texts[place] for place in used))
+        return places, tuple(texts[place] for place in used)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,14 +5,15 @@ fly it, in any order and any number of times. On machines of one kind the answer
 grouped by the program that flies them, each group filled up to whole batches; no file is touched.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
 
 from keepout.core.audit.audit import Audit, Contact
 from keepout.core.audit.tube import FlightBounds
@@ -27,7 +28,6 @@ from keepout.core.guard.start import starts_certified
 from keepout.core.kept import digest
 from keepout.core.mission.build import Mission
 from keepout.core.mission.flight import AUDITED, Flight, judge, judged, legs_flown, record_of
-from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent
@@ -151,7 +151,7 @@ def fly_judged(
 
     def land(members: Sequence[Run], log: dict[str, np.ndarray]) -> None:
         found = audits(members, log, bounds)
-        for place, run in enumerate(members if "leg" in log else ()):
+        for place, run in enumerate(members if log.get("leg") is not None else ()):
             own = (log[name][place] for name in ("time", "position", "leg"))
             held[run.number] = all(leg.kept for leg in legs_flown(run.scenario, *own))
         verdicts.update(zip((run.number for run in members), found))
@@ -164,9 +164,11 @@ def fly_judged(
     }
 
 
-def columns_of(scenario: Scenario) -> tuple[str, ...]:
-    """Give the columns that a scenario's campaign takes out of its programs."""
-    return (*COLUMNS, "leg") if scenario.leg else COLUMNS
+def columns_of(plan: Plan) -> tuple[str, ...]:
+    """Give the columns that a campaign takes out of its programs."""
+    if plan.in_full:
+        return _EVERYTHING
+    return (*COLUMNS, "leg") if plan.scenario.leg else COLUMNS
 
 
 def audits(runs: Sequence[Run], log: dict[str, np.ndarray], bounds: FlightBounds | None = None) -> list[Audit]:
@@ -213,12 +215,14 @@ class ChunkResult:
         table: a Parquet file with one row a run (`table.py`). Its metadata names the plan (`plan`), the chunk
             (`chunk`), the digest of the bands (`bands`) and the kind of processor (`processor`).
         bands: an `.npz` file with the chunk's `Bands`.
+        records: of the flights that the plan keeps, by run, where its programs give them out (`Plan.in_full`).
 
     """
 
     number: int
     table: bytes
     bands: bytes
+    records: dict[int, FlightRecord] = field(default_factory=dict)
 
 
 def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told | None = None) -> ChunkResult:
@@ -232,17 +236,23 @@ def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told
 
     """
     counted = bands.Bands.empty(plan.scenario.duration, plan.scenario.control.period)
+    logs: _Logs = {}
 
     def land(members: Sequence[Run], log: dict[str, np.ndarray], found: list[Audit]) -> None:
         goals = np.array([run.scenario.goal.position for run in members])
         counted.count(log, goals, members[0].scenario.control.period)
+        if plan.in_full and plan.keep != 0:
+            _kept(logs)(members, log)
         if told is not None:
             near = np.linalg.norm(log["position"][:, -1] - goals, axis=-1)
             reached = near < [run.scenario.goal.tolerance for run in members]
             told(len(members), int(np.sum(reached)), sum(verdict.contact is not Contact.NO for verdict in found))
 
     runs = plan.draw(*plan.chunk_runs(number))
-    flown = fly_judged(runs, plan.programs, columns=columns_of(plan.scenario), landed=land, workers=workers)
+    flown = fly_judged(runs, plan.programs, columns=columns_of(plan), landed=land, workers=workers)
+    rows = table.table_of(plan.design, plan.scenario, runs, flown)
+    wanted = set(least_clear(rows, plan.keep)) & logs.keys()
+    kept = _records(_whole(plan, [run for run in runs if run.number in wanted], logs, _outcomes(flown)))
     sketch = counted.to_bytes()
     marks = {
         "plan": plan.sha256,
@@ -251,7 +261,15 @@ def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told
         "scenario": plan.scenario.model_dump_json(),
         "processor": processor(),
     }
-    return ChunkResult(number, table.to_bytes(table.table_of(plan.design, plan.scenario, runs, flown), marks), sketch)
+    return ChunkResult(number, table.to_bytes(rows, marks), sketch, dict(kept))
+
+
+def least_clear(rows: pa.Table, keep: int | None) -> list[int]:
+    """Give the runs of a campaign's table that are kept, those of least clearance first; all that flew for None."""
+    flown = np.asarray(rows["status"].to_numpy(zero_copy_only=False) == table.FLOWN)
+    clearance = np.asarray(rows["minimum_clearance"].cast(pa.float64()).to_numpy(zero_copy_only=False), float)
+    runs, clearance = rows["run"].to_numpy()[flown], clearance[flown]
+    return [int(run) for run in runs[np.lexsort((runs, clearance))][:keep]]
 
 
 @dataclass(frozen=True)
@@ -286,10 +304,11 @@ def replay(plan: Plan, numbers: Sequence[int]) -> list[Replayed]:
     """
     runs = _drawn(plan, numbers)
     exact: _Logs = {}
-    flown = fly_judged(runs, plan.programs, columns=columns_of(plan.scenario), landed=_kept(exact))
+    flown = fly_judged(runs, plan.programs, columns=columns_of(plan), landed=_kept(exact))
     rows = table.table_of(plan.design, plan.scenario, runs, flown).to_pylist()
+    whole = _whole(plan, runs, exact, _outcomes(flown)) if plan.in_full else _in_full(plan, runs)
     made = []
-    for (run, log, result, header), row in zip(_in_full(plan, runs), rows, strict=True):
+    for (run, log, result, header), row in zip(whole, rows, strict=True):
         flight = judged(mission_of(run), log, result=result, extra=header)
         apart = max(_apart(exact[run.number][name], np.asarray(getattr(log, name))) for name in COLUMNS)
         made.append(Replayed(run, row, flight, apart))
@@ -298,12 +317,12 @@ def replay(plan: Plan, numbers: Sequence[int]) -> list[Replayed]:
 
 def records(plan: Plan, numbers: Sequence[int]) -> Iterator[tuple[int, FlightRecord]]:
     """Fly runs again, as `replay` does, for their records alone; each with its run's number."""
-    for run, log, result, header in _in_full(plan, _drawn(plan, numbers)):
-        mission = mission_of(run)
-        yield run.number, record_of(mission.scenario, mission.target, log, result, header)
+    yield from _records(_in_full(plan, _drawn(plan, numbers)))
 
 
 _Logs = dict[int, dict[str, np.ndarray]]
+_Whole = Iterator[tuple[Run, FlightLog, FlightOutcome, dict[str, Any]]]
+"""Runs, each with its log, outcome, and entries of its header."""
 
 
 def _drawn(plan: Plan, numbers: Sequence[int]) -> list[Run]:
@@ -329,13 +348,27 @@ def _kept(into: _Logs) -> Callable[..., None]:
     return keep
 
 
-def _in_full(plan: Plan, runs: Sequence[Run]) -> Iterator[tuple[Run, FlightLog, FlightOutcome, dict[str, Any]]]:
-    """Fly runs by the program that gives out everything: each with its log, outcome, and entries of its header."""
+def _in_full(plan: Plan, runs: Sequence[Run]) -> _Whole:
+    """Fly runs by the program that gives out everything."""
     full: _Logs = {}
     outcomes = fly_runs(runs, plan.programs, columns=_EVERYTHING, landed=_kept(full))
+    yield from _whole(plan, runs, full, outcomes)
+
+
+def _whole(plan: Plan, runs: Sequence[Run], logs: _Logs, outcomes: Mapping[int, FlightOutcome]) -> _Whole:
     for run in runs:
-        log = FlightLog(**{name: jnp.asarray(array) for name, array in full[run.number].items()})  # pyright: ignore[reportArgumentType]
+        log = FlightLog(**{name: jnp.asarray(array) for name, array in logs[run.number].items()})  # pyright: ignore[reportArgumentType]
         yield run, log, jax.device_get(outcomes[run.number]), {"campaign": plan.sha256, "run": run.number}
+
+
+def _outcomes(flown: Mapping[int, Flown]) -> dict[int, FlightOutcome]:
+    return {number: known.outcome for number, known in flown.items()}
+
+
+def _records(flights: _Whole) -> Iterator[tuple[int, FlightRecord]]:
+    for run, log, result, header in flights:
+        mission = mission_of(run)
+        yield run.number, record_of(mission.scenario, mission.target, log, result, header)
 
 
 def mission_of(run: Run) -> Mission:

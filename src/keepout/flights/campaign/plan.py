@@ -51,6 +51,12 @@ LARGE = 4096
 """Arrays of more numbers are shared, never stacked: networks and grids. Runs that differ in them fly apart."""
 
 
+_ROW_BYTES = 400
+"""Of a flight's whole log, a control step; with sensors somewhat more."""
+_MOST_BYTES = 2**29
+"""Of whole logs in memory at once."""
+
+
 class _Shelf:
     """The last few things made, by what they were made of."""
 
@@ -304,6 +310,7 @@ class Plan:
         workshop: what the missions share.
         target_sha256: digest of the scenario's own mesh.
         field_sha256: digest of its field.
+        keep: how many flights are wanted in full, those of least clearance; None: all.
 
     """
 
@@ -314,6 +321,16 @@ class Plan:
     workshop: Workshop
     target_sha256: str
     field_sha256: str
+    keep: int | None = 0
+
+    @property
+    def in_full(self) -> bool:
+        """Whether its programs give out whole logs: all runs are one chunk, whose logs fit into memory.
+
+        What is kept is then kept as it lands; else it is flown again, by another program.
+        """
+        steps = self.scenario.duration / self.scenario.control.period
+        return self.chunks == 1 and self.runs * steps * _ROW_BYTES <= _MOST_BYTES
 
     @property
     def runs(self) -> int:
@@ -385,8 +402,8 @@ class Plan:
             scenario: what to fly, with its `campaign` table.
             target: already loaded; else the scenario's.
             model: the scenario's field, already loaded; else the scenario's.
-            batch: flights flown at once, a last batch filled up; by default 8, 32 or 128, the least that takes all
-                runs.
+            batch: flights flown at once, a last batch filled up; by default 8, 32, 64 or 128, the least of which two
+                take all runs.
             progress: called while it is built.
 
         Raises:
@@ -416,7 +433,7 @@ class Plan:
         return cls(
             scenario,
             varied,
-            batch * int(np.clip(batches // 64, 1 if batches < 8 else 2, _MOST_BATCHES)),
+            batch * (batches if batches <= 2 else int(np.clip(batches // 64, 1 if batches < 8 else 2, _MOST_BATCHES))),
             Programs.of(flyable, batch),
             workshop,
             target.sha256,

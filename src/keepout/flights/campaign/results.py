@@ -346,7 +346,7 @@ def _influences(
         arrays = reading.arrays([column for name in some for column in reading.factor_columns[name]])
 
         def measure(name: str, arrays: dict[str, Any] = arrays) -> list[tuple[Influence, Scatter]]:
-            factor, made = reading.factor(name, arrays), []
+            factor, made = Factor(name, *reading.drawn(name, arrays)), []
             for figure, has in known.items():
                 values, rows = outcomes.figures[figure.column], points[figure]
                 one = statistics.influence(Factor(name, factor.values[has], factor.levels), figure.name, values[has])

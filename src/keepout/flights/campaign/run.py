@@ -12,16 +12,12 @@ from contextlib import closing
 from dataclasses import dataclass
 from threading import Lock
 
-import numpy as np
-import pyarrow as pa
-
 from keepout.core.audit.audit import Contact
 from keepout.core.cores import available_cores
 from keepout.core.errors import ClusterError, ScenarioError
 from keepout.flights.campaign.dataset import Dataset
-from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk, records
+from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk, least_clear, records
 from keepout.flights.campaign.plan import Plan
-from keepout.flights.campaign.table import FLOWN
 
 VALID = "valid are tcp://HOST:PORT, tls://HOST:PORT, local and local:N"
 _ADDRESS = re.compile(r"(?:tcp|tls)://(?:\[[0-9a-fA-F:.]+\]|[^\s/:\[\]]+):(\d{1,5})")
@@ -121,6 +117,8 @@ def fly_campaign(
     with closing(flyer(plan, missing, landed)) as results:  # an interrupt between two results stops it at once
         for result in results:
             dataset.write(result)
+            for run, record in result.records.items():
+                dataset.keep(run, record)
             with lock:
                 first, last = plan.chunk_runs(result.number)
                 written += last - first
@@ -156,7 +154,7 @@ def keep_of(text: str) -> int | None:
 def keep_flights(
     plan: Plan, dataset: Dataset, keep: int | None, *, told: Callable[[int, int], None] = lambda done, total: None
 ) -> list[int]:
-    """Write the flight files of a complete campaign that are not there yet: each run is flown again, to the same bits.
+    """Write the flight files of a complete campaign that are not there yet: their runs are flown again.
 
     Args:
         plan: of the campaign.
@@ -173,17 +171,11 @@ def keep_flights(
     """
     if keep == 0:
         return []
-    whole = dataset.table(["run", "status", "minimum_clearance"])
-    flown = np.asarray(whole["status"].to_numpy(zero_copy_only=False) == FLOWN)
-    clearance = np.asarray(whole["minimum_clearance"].cast(pa.float64()).to_numpy(zero_copy_only=False), float)
-    runs = np.flatnonzero(flown)
-    chosen = [int(run) for run in runs[np.lexsort((runs, clearance[runs]))][:keep]]
+    chosen = least_clear(dataset.table(["run", "status", "minimum_clearance"]), keep)
     wanted = [run for run in chosen if dataset.kept_record(run) is None]
     for first in range(0, len(wanted), plan.batch):
         for run, record in records(plan, wanted[first : first + plan.batch]):
-            path = dataset.kept(run)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            record.save(path)
+            dataset.keep(run, record)
         told(len(chosen) - max(len(wanted) - first - plan.batch, 0), len(chosen))
     return chosen
 

@@ -6,6 +6,7 @@ And the page of two campaigns side by side, whose tables a terminal and JSON sho
 import json
 import shlex
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -94,14 +95,17 @@ def report_campaign(
     place = folder / PLACE
     for table in _tables(found, bands):
         table.write(place)
-    campaign_figures.draw_distributions(place / "distributions.png", found)
-    campaign_figures.draw_over_time(place / "bands.png", bands)
-    if found.influences:
-        campaign_figures.draw_influences(place / "influences.png", found)
-    if found.scatters:
-        campaign_figures.draw_scatters(place / "scatter.png", found)
-    kept()
-    replays = _write_replays(place, found, progress=part_of(progress, 0.85, 1.0))
+    with ThreadPoolExecutor(1) as aside:  # distances beside the drawing: the one needs kernels, the other Python
+        gathering = aside.submit(lambda: (kept(), _worst(found))[1])
+        campaign_figures.draw_distributions(place / "distributions.png", found)
+        campaign_figures.draw_over_time(place / "bands.png", bands)
+        if found.influences:
+            campaign_figures.draw_influences(place / "influences.png", found)
+        if found.scatters:
+            campaign_figures.draw_scatters(place / "scatter.png", found)
+        progress(0.85, "the worst flights")
+        worst = gathering.result()
+    replays = _write_replays(place, found, worst, progress=part_of(progress, 0.9, 1.0))
     requirements = judged_campaign(_recorded(folder) if require is None else require, reading)
     title = f"Campaign {reading.scenario.name}"
     page = Page(folder / "index.html", title, verdict(found), provenance(reading))
@@ -319,43 +323,55 @@ def _tell_refused(page: Page, found: Results) -> None:
     page.file(page.path.parent / PLACE / "refused.csv")
 
 
-def _write_replays(place: Path, found: Results, *, progress: Progress) -> dict[int, Markup]:
+def _worst(found: Results) -> dict[int, Replayed | KeepoutError]:
+    """Gather the worst flights that have a flight file, by run: with what is drawn of them, or why that cannot be."""
+    workshop = Workshop()
+    gathered: dict[int, Replayed | KeepoutError] = {}
+    for run in (row["run"] for row in found.worst):
+        record = found.reading.kept_record(run)
+        if record is None:  # the page says so
+            continue
+        try:
+            gathered[run] = flight = of_record(f"run {run}", record, workshop)
+        except KeepoutError as refusal:
+            gathered[run] = refusal
+        else:
+            flight.clearance, flight.proved  # noqa: B018 - kept by the flight
+    return gathered
+
+
+def _write_replays(
+    place: Path, found: Results, worst: Mapping[int, Replayed | KeepoutError], *, progress: Progress
+) -> dict[int, Markup]:
     """Write replays of the worst flights that have a flight file, one page a target, and a figure of their clearances.
 
     Args:
         place: folder for the pages `worst.html`, `worst-2.html`, … and the figure `worst.png` and `.svg`.
         found: the campaign's results.
-        progress: told after each flight.
+        worst: the flights.
+        progress: told as pages are written.
 
     Returns:
         By run number, for the flights that were kept: a link to the replay, or why it has none. Without flight files
         nothing is written.
 
     """
-    dataset, workshop = found.reading, Workshop()
     groups: dict[str, list[Replayed]] = {}
     links: dict[int, Markup] = {}
     curves: dict[int, Clearance] = {}
-    for number, row in enumerate(found.worst):
-        run = row["run"]
-        record = dataset.kept_record(run)
-        if record is None:  # the page says so
-            continue
-        try:
-            flight = of_record(f"run {run}", record, workshop)
-        except KeepoutError as refusal:
-            links[run] = text(str(refusal))
+    for run, flight in worst.items():
+        if isinstance(flight, KeepoutError):
+            links[run] = text(str(flight))
             continue
         groups.setdefault(flight.target.sha256, []).append(flight)
         address = f"{PLACE}/{_replay(list(groups).index(flight.target.sha256))}#{quote(flight.name)}"
         links[run] = Markup(f'<a href="{address}">replay</a>')
         curves[run] = flight.shown.time, flight.clearance
-        progress(0.3 * (number + 1) / len(found.worst), f"flight of run {run}")
     for stale in (*place.glob("worst*.html"), *place.glob("worst.png"), *place.glob("worst.svg")):
         stale.unlink()
     title = f"Campaign {found.reading.scenario.name}: worst flights"
     for number, group in enumerate(groups.values()):
-        part = part_of(progress, 0.3 + 0.7 * number / len(groups), 0.3 + 0.7 * (number + 1) / len(groups))
+        part = part_of(progress, number / len(groups), (number + 1) / len(groups))
         write_replay(place / _replay(number), group, title=title, progress=part)
     if curves:
         _draw_worst(place / "worst.png", curves)

@@ -104,9 +104,15 @@ class Replayed:
         return FlightRecord(self.record.header, **{name: of[:until] for name, of in self.record.columns.items()})
 
     @functools.cached_property
+    def nearest(self) -> tuple[Float[np.ndarray, "rows"], Float[np.ndarray, "rows 3"]]:
+        """The distance to the mesh, m, and its closest point, body frame, m, at each row that is shown."""
+        distance, closest, _ = self.target.distance.closest(self.shown.position)
+        return distance, closest
+
+    @property
     def clearance(self) -> Float[np.ndarray, "rows"]:
         """From the chaser's surface to the mesh at each row that is shown, m."""
-        return self.target.distance.distance(self.shown.position) - self.scenario.chaser.radius
+        return self.nearest[0] - self.scenario.chaser.radius
 
     @functools.cached_property
     def proved(self) -> Float[np.ndarray, "steps"]:

@@ -177,9 +177,8 @@ def rows_shown(rows: int) -> Int[np.ndarray, "shown"]:
 
 def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
     record, scenario, chaser = flight.shown, flight.scenario, flight.scenario.chaser
-    distance, closest, _ = flight.target.distance.closest(record.position)
-    clearance = distance - chaser.radius
-    error = np.full(len(distance), np.nan) if flight.error is None else flight.error
+    clearance, closest = flight.clearance, flight.nearest[1]
+    error = np.full(len(clearance), np.nan) if flight.error is None else flight.error
     rows, least = rows_shown(len(record.time)), flight.verdict.minimum_clearance
     legs = approach_drawn.leg_labels(scenario, record)
     remark = ""
