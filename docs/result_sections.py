@@ -419,7 +419,7 @@ def equipped() -> list[str]:
         "**Flights on sensors and thrusters: microseconds a flight-step, audit included**",
         "",
         f"`python benchmarks/campaign.py --equipped`; {kept['flights']} flights of {kept['steps']} s on "
-        f"{rows[0]['cores']} cores, medians of three. Campaigns of any number of runs up to 128 share three programs, "
+        f"{rows[0]['cores']} cores, medians of three. Campaigns of any number of runs share a few programs, "
         "so that the second campaign compiles nothing.",
         "",
         *note("campaign_equipped"),
