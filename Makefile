@@ -9,7 +9,8 @@ ALL := .[test,dev,docs]
 
 # A file of tests stays with one worker, which builds and compiles once what its tests share; the longest come first.
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
-# Arguments are compared with their annotations, shapes and types: a tenth of the time that tests take.
+# Arguments are compared with their annotations, shapes and types, in flights as users fly them and in `make test-all`: it
+# takes a tenth of the time of tests.
 TYPED = --jaxtyping-packages=$(1),beartype.beartype
 # The rooms from a mesh to a flight: the paper's system, made safe.
 CORE := tests/core
@@ -104,11 +105,11 @@ quick-tests: install
 # of the libraries and kernels of Numba, is not compiled by two at a time. Its words come at its end, in one piece.
 as-used-tests: install
 	@said=$$(mktemp) && code=0 && \
-	{ XLA_FLAGS= $(BIN)/pytest -m "as_used and not slow" $(AS_USED) > $$said 2>&1 || code=$$?; } && \
+	{ XLA_FLAGS= $(BIN)/pytest -m "as_used and not slow" $(call TYPED,keepout.core) $(AS_USED) > $$said 2>&1 || code=$$?; } && \
 	cat $$said && rm $$said && exit $$code
 
 other-tests: types
-	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE) $(call TYPED,keepout.core)
+	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE)
 
 test-all: lint
 	XLA_FLAGS= $(BIN)/python tests/where_time_goes.py --keep out/test-all -n 2 --dist loadgroup \

@@ -38,7 +38,6 @@ if "XLA_FLAGS" not in os.environ:
 
 import equinox as eqx
 import jax
-import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 from truths import real_meshes
@@ -97,17 +96,6 @@ def coarse_surfaces():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drawn, "_CELLS_ALONG", drawn._CELLS_ALONG // 2)
         yield
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Compare arrays with their annotations in the core's short tests, and in all where time is no matter.
-
-    It costs a tenth, and the storeys above call the core as its own tests do.
-    """
-    unhurried = item.config.getoption("--hypothesis-profile") == "random"
-    short = item.get_closest_marker("long") is None and item.nodeid.startswith("tests/core/")
-    jaxtyping.config.update("jaxtyping_disable", not unhurried and not short)
 
 
 FIRST = (

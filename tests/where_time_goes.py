@@ -29,8 +29,8 @@ COMPILED = "/jax/core/compile/backend_compile_duration"
 
 _BY_FILE = ("-n", "2", "--dist", "loadfile", "--no-loadscope-reorder")
 MAKE_TEST = (
-    (("-m", "as_used and not slow"), {"XLA_FLAGS": ""}),
-    (("-m", "not slow and not as_used", *_BY_FILE, "--jaxtyping-packages=keepout.core,beartype.beartype"), {}),
+    (("-m", "as_used and not slow", "--jaxtyping-packages=keepout.core,beartype.beartype"), {"XLA_FLAGS": ""}),
+    (("-m", "not slow and not as_used", *_BY_FILE), {}),
 )
 """What `make test` runs, there at once: options of pytest, and what is set in its environment."""
 

@@ -55,6 +55,7 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 @compiler
+@pytest.mark.slow
 def test_steps_and_samples_on_thresholds_are_pythons(flown: Exported):
     flights = navigation.SampledFlights(flown.made)
     found = compared(flown, flights, 60 * FLIGHTS, keep=6)

@@ -70,14 +70,11 @@ def test_every_end_is_said_and_nothing_is_touched(changes, outcome):
     assert outcome != "everything reachable seen" or found.summary()["seen_share"] > 0.97
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "at", "said"),
     [
-        pytest.param(
-            *({"duration": 60.0}, (4.0, 0.0, 0.0), ("map.radius 5", "outside the declared ball")),
-            marks=pytest.mark.slow,
-        ),
+        ({"duration": 60.0}, (4.0, 0.0, 0.0), ("map.radius 5", "outside the declared ball")),
         ({"duration": 60.0, "depth_sensor": {"broken": "late"}}, (0.0, 0.0, 0.0), ("late",)),
     ],
 )
