@@ -273,12 +273,8 @@ def directions_of(guidance: GeodesicGuidance) -> np.ndarray:
 
 def numbers_of(made: Coded) -> dict[str, dict[str, Any]]:
     """Give what the C structures hold, by structure and member (`sources/keepout.h`)."""
-    law, setup, scenario = made.law, made.mission.setup, made.mission.scenario
-    velocity, tracking, motion = law.velocity, law.tracking, setup.motion
-    assert velocity.speed is not None
-    assert velocity.speed.authority is not None
-    assert velocity.class_k.braking is not None
-    attitude, guidance = motion.attitude_motion, velocity.guidance
+    setup, guidance = made.mission.setup, made.law.velocity.guidance
+    motion, attitude = setup.motion, setup.motion.attitude_motion
     assert isinstance(guidance, GeodesicGuidance | StraightGuidance)
     tumbling = isinstance(attitude, Tumbling)
     told: dict[str, dict[str, Any]] = {
@@ -293,41 +289,13 @@ def numbers_of(made: Coded) -> dict[str, dict[str, Any]]:
             "gravity_gradient": tumbling and attitude.gravity_gradient,
             "substeps": motion.substeps,
         },
-        "law": {
-            "offset": velocity.offset,
-            "nominal_offset": law.nominal_offset,
-            "class_k_rate": velocity.class_k.rate,
-            "class_k_braking": velocity.class_k.braking,
-            "speed_limit": velocity.speed.limit,
-            "speed_authority": velocity.speed.authority,
-            "speed_reserve": velocity.speed.reserve,
-            **{
-                name: getattr(tracking, name)
-                for name in (
-                    *("gain", "position_weight", "lyapunov_ratio", "barrier_ratio", "estimation_weight"),
-                    *("estimation_rate", "barrier_rate", "sharpness", "acceleration_limit"),
-                )
-            },
-            "mass": law.mass,
-            "period": setup.period,
-            "force_limit": law.force_limit,
-            "delay": scenario.guard.delay,
-            "model": 0,
-            "field": int(isinstance(velocity.field, GridField)),
-        },
+        "law": _law_numbers(made),
         "guidance": {
             "goal": guidance.goal,
             "speed": guidance.speed,
             "slowing_length": guidance.slowing_length,
         },
     }
-    if scenario.navigation.suite == "none" and isinstance(law.observer, SampledObserver):
-        names = ("transition", "mean_output", "output", "model_gain")
-        parts = observer_of_an_axis(law.observer)
-        told["law"]["model"] = len(parts[0])
-        told["law"] |= {
-            name: part if name == "transition" else part.ravel() for name, part in zip(names, parts, strict=True)
-        }
     if isinstance(guidance, GeodesicGuidance):
         told["guidance"] |= {name: getattr(guidance, name) for name in ("origin", "spacing", "inner", "outer")}
         told["guidance"]["nodes"] = np.asarray(guidance.nodes).astype(int)
@@ -335,6 +303,42 @@ def numbers_of(made: Coded) -> dict[str, dict[str, Any]]:
     told["thrusters"] = _thruster_numbers(made.mission)
     if setup.navigation is not None:
         told["navigation"] = _navigation_numbers(setup.navigation)
+    return told
+
+
+def _law_numbers(made: Coded) -> dict[str, Any]:
+    law, scenario = made.law, made.mission.scenario
+    velocity, tracking = law.velocity, law.tracking
+    assert velocity.speed is not None
+    assert velocity.speed.authority is not None
+    assert velocity.class_k.braking is not None
+    told = {
+        "offset": velocity.offset,
+        "nominal_offset": law.nominal_offset,
+        "class_k_rate": velocity.class_k.rate,
+        "class_k_braking": velocity.class_k.braking,
+        "speed_limit": velocity.speed.limit,
+        "speed_authority": velocity.speed.authority,
+        "speed_reserve": velocity.speed.reserve,
+        **{
+            name: getattr(tracking, name)
+            for name in (
+                *("gain", "position_weight", "lyapunov_ratio", "barrier_ratio", "estimation_weight"),
+                *("estimation_rate", "barrier_rate", "sharpness", "acceleration_limit"),
+            )
+        },
+        "mass": law.mass,
+        "period": made.mission.setup.period,
+        "force_limit": law.force_limit,
+        "delay": scenario.guard.delay,
+        "model": 0,
+        "field": int(isinstance(velocity.field, GridField)),
+    }
+    if scenario.navigation.suite == "none" and isinstance(law.observer, SampledObserver):
+        names = ("transition", "mean_output", "output", "model_gain")
+        parts = observer_of_an_axis(law.observer)
+        told["model"] = len(parts[0])
+        told |= {name: part if name == "transition" else part.ravel() for name, part in zip(names, parts, strict=True)}
     return told
 
 

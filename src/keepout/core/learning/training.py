@@ -145,8 +145,6 @@ def fit(
         initial = initial._replace(layers=begun)
     state = course.taken(initial, kept, target.name, part_of(progress, 0.1, 0.99))
     field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
-    curve = np.asarray(state.curve, np.float64)
-    taken = np.isfinite(curve[:, 0])
     training = {
         "profile": name,
         "numbers": dataclasses.asdict(numbers),
@@ -157,10 +155,7 @@ def fit(
         "seconds_of": seconds,
         "ended": pace.ended,
         "closing_radius": solid.closing_radius,
-        "curve": {
-            "steps": np.cumsum(np.array(block_lengths(numbers))[taken]).tolist(),
-            **{name: column[taken].tolist() for name, column in zip(CURVE, curve.T)},
-        },
+        "curve": _curve_told(numbers, np.asarray(state.curve, np.float64)),
         "jax": jax.__version__,
         "device": jax.devices()[0].platform,
     }
@@ -168,6 +163,15 @@ def fit(
         checkpoint.unlink(missing_ok=True)
     progress(1.0, "done")
     return FieldModel(field, target.name, target.sha256, solid.offset, training)
+
+
+def _curve_told(numbers: losses.TrainingProfile, curve: Float[np.ndarray, "blocks terms"]) -> dict[str, list[float]]:
+    """Give the loss's terms after each block that was taken, with the steps until then."""
+    taken = np.isfinite(curve[:, 0])
+    return {
+        "steps": np.cumsum(np.array(block_lengths(numbers))[taken]).tolist(),
+        **{name: column[taken].tolist() for name, column in zip(CURVE, curve.T)},
+    }
 
 
 @dataclasses.dataclass(frozen=True)

@@ -336,7 +336,7 @@ def _worst(found: Results) -> dict[int, Replayed | KeepoutError]:
         except KeepoutError as refusal:
             gathered[run] = refusal
         else:
-            flight.clearance, flight.proved  # noqa: B018 - kept by the flight
+            _ = flight.clearance, flight.proved  # the flight keeps them
     return gathered
 
 
