@@ -147,7 +147,7 @@ def test_the_pages_stay_few_and_short():
 MOST_PAGES, MOST_BYTES = 26, 200_000
 
 KEYS_MADE = {
-    "core/mission/flight.py": ("summary", "_approach_figures", "navigation_figures"),
+    "core/mission/flight.py": ("summary", "zone_figures", "_approach_figures", "navigation_figures"),
     "verbs/check.py": ("summary",),
     "core/mission/surroundings.py": ("guard_numbers",),
     "flights/pages/folder.py": ("write_flight",),

@@ -16,6 +16,7 @@ from scipy import sparse
 from keepout.apps.inspection.passive import Drifting
 from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.seeing.patches import Areas, Marks, Units
+from keepout.apps.inspection.seeing.seeable import FAR, drawn_before
 from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, visible
 from keepout.apps.led.camera import axes_across
 from keepout.core.cores import available_cores, kernel
@@ -31,10 +32,6 @@ _ROOM_TO_FLY = 0.15
 _TILT = math.radians(1.5)
 """The same for the angles of incidence and of the cone, rad."""
 _ROUNDS = 4
-_STEEP = 0.97
-"""Of the greatest incidence, the most that places are drawn at: a patch has an extent."""
-_FAR = 0.97
-"""Likewise of the greatest range."""
 _TRIES = 20
 _BORESIGHTS = 8
 """At a place, at most."""
@@ -105,11 +102,11 @@ class _Places:
 
     @property
     def level(self) -> float:
-        """The distance from the mesh that places keep, m."""
+        """The distance from mesh and zones that places keep, m."""
         return self.problem.scenario.inspect.stand_off + INSIDE
 
     def allowed(self, places: Points) -> Bool[np.ndarray, " n"]:
-        answer = self.problem.target.distance.distance(places) >= self.level
+        answer = self.problem.room.free.distance(places) >= self.level
         answer[answer] = self.problem.room.allowed(places[answer])
         answer[answer] = self.safe(places[answer])
         return answer
@@ -126,20 +123,13 @@ class _Places:
     ) -> Points:
         """Draw places for units by their weights, where the chaser may be at all; fewer if that is hard."""
         kept, patches = np.zeros((0, 3)), self.problem.patches
-        low, high = max(self.level, rules.least_range), _FAR * rules.greatest_range
-        flattest = np.cos(_STEEP * rules.greatest_incidence)
-        for _ in range(_TRIES if low < high else 0):
+        within = max(self.level, rules.least_range) < FAR * rules.greatest_range
+        for _ in range(_TRIES if within else 0):
             missing = count - len(kept)
             if missing <= 0:
                 break
             units = generator.choice(len(weights), size=2 * missing, p=weights / weights.sum())
-            cosine = generator.uniform(flattest, 1.0, len(units))
-            turn = generator.uniform(0.0, 2.0 * np.pi, len(units))
-            normals = patches.unit_normals()[units]
-            side, other = axes_across(normals)
-            sine = np.sqrt(1.0 - cosine**2)[:, None]
-            towards = cosine[:, None] * normals + sine * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other)
-            tried = patches.centres[units // 2] + generator.uniform(low, high, len(units))[:, None] * towards
+            tried = drawn_before(patches, units, rules, self.level, generator)
             kept = np.concatenate([kept, tried[self.allowed(tried)][:missing]])
         return kept
 

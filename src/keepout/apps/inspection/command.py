@@ -7,7 +7,7 @@ from rich.table import Table
 
 from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.pages.terminal import MissionCommand, result_table
+from keepout.flights.pages.terminal import MissionCommand, result_table, with_zones
 
 if TYPE_CHECKING:
     from keepout.core.mission.scenario import Scenario
@@ -49,7 +49,7 @@ def inspect_to_folder(
 def _table(summary: dict[str, Any]) -> Table:
     from keepout.apps.inspection.inspection_page import ROWS
 
-    return result_table(f"Inspection {summary['name']}", summary, ROWS)
+    return result_table(f"Inspection {summary['name']}", *with_zones(summary, ROWS))
 
 
 INSPECT = MissionCommand(

@@ -46,6 +46,7 @@ from keepout.core.mission.build import build_guard, require_navigation
 from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import load_target
+from keepout.core.mission.zones import with_digests
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.navigation.suites import navigation
 
@@ -82,7 +83,7 @@ def inspect(
 
     """
     began = time.perf_counter()
-    scenario = Scenario.of(scenario)
+    scenario = with_digests(Scenario.of(scenario))
     if target is None:
         target = load_target(scenario.target) if problem is None else problem.target
     if problem is not None:
@@ -102,6 +103,12 @@ def inspect(
     require_something_to_see(scenario, problem.seeable, lit)
     wanted = Wanted(problem.patches, lit, scenario.inspect.coverage)
     ahead = ViewsAhead(scenario, problem, leading, wanted, first=first, progress=part_of(progress, 0.4, 0.5))
+    if scenario.zone and not ahead.first.views:
+        raise InspectionError(
+            f"zone: {len(scenario.zone)}, and no way that keeps inspect.stand_off, {scenario.inspect.stand_off:g} m, "
+            "from all of them leads from the start to a view of anything; smaller zones, or another start, would leave "
+            "one"
+        )
     return UnderWay(ahead, began).flown(part_of(progress, 0.5, 1.0))
 
 
@@ -113,7 +120,11 @@ def _require_of(problem: Problem, scenario: Scenario, target: Target) -> None:
         "camera or light": problem.rules == rules_of(scenario),
         "inspect.stand_off": problem.scenario.inspect.stand_off == scenario.inspect.stand_off,
         "light": all(getattr(made, name) == getattr(scenario, name) for name in _OF_LIGHT),
+        "zone": problem.scenario.zone == scenario.zone,
     }
+    if scenario.zone:  # which may turn from step to step until the end
+        same["duration"] = made.duration == scenario.duration
+        same["control.period"] = made.control.period == scenario.control.period
     others = [name for name, is_same in same.items() if not is_same]
     if others:
         raise InspectionError(f"problem: worked out for another {', '.join(others)} than the scenario's")

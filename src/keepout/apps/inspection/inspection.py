@@ -162,6 +162,7 @@ class Inspection(Led):
             "frames": len(self.frames),
             "way_m": self.plan.way_length,
             **self.contact_figures(),
+            **self.flight.zone_figures(),
             "delta_v_mps": self.delta_v,
             **({} if self.transfer is None else self.transfer.summary()),
             "duration_s": float(self.record.time[-1]),

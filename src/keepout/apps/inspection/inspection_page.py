@@ -25,6 +25,7 @@ from keepout.flights.pages.folder import write_summary
 from keepout.flights.pages.page import Markup, Page, text
 from keepout.flights.pages.replayed import Layer
 from keepout.flights.pages.scene import Packing
+from keepout.flights.pages.terminal import with_zones
 from keepout.flights.requirements import judged
 
 UNSEEN, FRAMES = "unseen.json", "frames.parquet"
@@ -87,8 +88,9 @@ def write_inspection(
         tell = functools.partial(_tell_surface, inspection=inspection, shares=summary["shares"])
         field = inspection.field_sha256
         digests = {f"field of {inspection.target.name}": field} if field else {}
-        told, layer, drawn = Told(said(inspection), digests, ROWS, tell), Coverage(inspection), _drawn(inspection)
-        summary["pictures"] = draw_result(out, inspection, summary, told, drawn, layer=layer, progress=progress)
+        known, rows = with_zones(summary, ROWS)
+        told, layer, drawn = Told(said(inspection), digests, rows, tell), Coverage(inspection), _drawn(inspection)
+        summary["pictures"] = draw_result(out, inspection, known, told, drawn, layer=layer, progress=progress)
     frames = save_frames(out / FRAMES, inspection.frames, target_sha256=inspection.target.sha256)
     summary["frames_file"] = str(frames)
     write_summary(out, summary)

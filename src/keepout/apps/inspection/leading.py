@@ -24,6 +24,7 @@ from keepout.core.mission.law import broken_as
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import require_apart
+from keepout.core.mission.zones import zoned
 from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.navigation.suites import navigation
@@ -48,8 +49,8 @@ _SLOWEST = 0.2
 class AroundMesh(Leading):
     """A scenario's law around one mesh: its keep-out zone keeps the stand-off.
 
-    The scenario has the margin that the stand-off asks for, and a goal that reaches as far as any place. `field_sha256`
-    is the digest of the field's model.
+    The scenario has the margin that the stand-off asks for, a goal that reaches as far as any place, and its zones in
+    the field. `field_sha256` is the digest of the field's model.
     """
 
     field_sha256: str = ""
@@ -100,7 +101,8 @@ class AroundMesh(Leading):
         beyond = scenario.camera.greatest_range + _BORDER
         lower, upper = target.vertices.min(axis=0) - beyond, target.vertices.max(axis=0) + beyond
         spacing, told = scenario.control.spacing, part_of(progress, 0.4, 0.8)
-        grid = BarrierGrid.build(model.field, offset, lower, upper, spacing=spacing, progress=told)
+        field = zoned(Surroundings(scenario), model.field, bound + scenario.chaser.radius)
+        grid = BarrierGrid.build(field, offset, lower, upper, spacing=spacing, progress=told)
         motion = Surroundings(scenario).motion
         initial = motion.initial_state(start, np.asarray(scenario.start.velocity))
         sensed = navigation(scenario, motion, assumed)
@@ -109,9 +111,11 @@ class AroundMesh(Leading):
             # By the operator's own margin: what the stand-off asks for beyond it is the law's to keep.
             around, sealed, told = Surroundings(stated, target), closing_radius(model), part_of(progress, 0.8, 1.0)
             guard = build_guard(around, offset=model.offset, closing_radius=sealed, progress=told)
-            certified = require_flyable(guard, initial, as_float64(far))
+            # Where zones may be, the start alone is known to be outside of them.
+            certified = require_flyable(guard, initial, as_float64(start if stated.zone else far))
         built = bound, grid, reach, nominal, guard, sensed, initial, certified
-        return cls(scenario, model.field, *built, model.sha256)
+        # The field has the zones: no law is to put them into it again.
+        return cls(scenario.model_copy(update={"zone": ()}), field, *built, model.sha256)
 
     def reachable(self, place: Point) -> Point | None:
         """Give the place, or the nearest found beside it where the law leads; None where there is none.

@@ -323,7 +323,7 @@ class _Line:
     def _may_be(self, place: Point, before: Point, after: Point) -> bool:
         """Whether the chaser may be there and comes there straight: then it is room that is joined to the rest."""
         inside = self.task.scenario.inspect.stand_off + _LED
-        if float(self.task.problem.target.distance.distance(place[None])[0]) < inside:
+        if float(self.task.problem.room.free.distance(place[None])[0]) < inside:
             return False
         return bool(self.task.ways.clear(np.stack([before, place]), np.stack([place, after])).all())
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from keepout.apps.inspection.light import Camera, Light
 from keepout.apps.inspection.limits import Protected
 from keepout.apps.inspection.seeing.patches import MOST_PATCHES, Marks, Patches, Units, cut
-from keepout.apps.inspection.seeing.room import Room
+from keepout.apps.inspection.seeing.room import Measure, Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, seeable
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
@@ -26,10 +26,11 @@ from keepout.core.control.profiles import least_offset
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.distance import Point
 from keepout.core.geometry.target import Target
-from keepout.core.mission.approach import require_one_leg
+from keepout.core.mission.approach import require_one_leg, require_outside_zones
 from keepout.core.mission.law import room_for_guard
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
+from keepout.core.mission.zones import mesh_and_zones
 from keepout.core.progress import Progress, part_of, silent
 
 _PATCH, _LARGE_PATCH = 0.25, 1.0
@@ -98,7 +99,7 @@ def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None
         InspectionError: the message names the entry, its value, and what would be valid.
 
     """
-    require_one_leg(scenario, "an inspection is led by its plan of views")
+    require_one_leg(scenario, "an inspection is led by its plan of views", zones=True)
     _require_times(scenario)
     if scenario.light.direction is not None and scenario.light.kind != "fixed":
         raise InspectionError(
@@ -112,10 +113,13 @@ def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None
     places = {"start.position": scenario.start.position}
     for number, hold in enumerate(scenario.inspect.hold_points):
         places[f"inspect.hold_points.{number}.position"] = hold.position
+    around = Surroundings(scenario, target)
+    require_outside_zones(around, [(entry, position, 0.0) for entry, position in places.items()])
+    free = mesh_and_zones(target.distance, around) if room is None else room.free
     for entry, position in places.items():
-        _require_place(scenario, target, entry, position)
+        _require_place(scenario, free, entry, position)
     _require_in_time(scenario, target)
-    room = Room(target.distance, scenario.inspect.stand_off) if room is None else room
+    room = Room(target.distance, scenario.inspect.stand_off, free=free) if room is None else room
     for (entry, position), allowed in zip(places.items(), room.allowed(np.array(list(places.values())))):
         if not allowed:
             raise InspectionError(
@@ -196,6 +200,12 @@ def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Marks) -
     area = float(patches.unit_areas().sum())
     if not area > 0.0:
         raise InspectionError("target: it has no area that counts as its outside; nothing is to be seen")
+    if scenario.zone and seeable.lower == 0.0 and seeable.upper > 0.0:
+        raise InspectionError(
+            f"zone: {len(scenario.zone)}, and inspect.stand_off, {scenario.inspect.stand_off:g} m, or more from "
+            f"all of them and from the target no place was found that sees anything of {area:.4g} m2; smaller zones, "
+            "or a greater camera.greatest_range, would leave some"
+        )
     if seeable.lower == 0.0 and seeable.upper > 0.0:
         clock = f"inspect.proof_time, {scenario.inspect.proof_time:g} s, ended it: " if seeable.by_clock else ""
         raise InspectionError(
@@ -325,13 +335,13 @@ def _require_in_time(scenario: Scenario, target: Target) -> None:
         )
 
 
-def _require_place(scenario: Scenario, target: Target, entry: str, position: tuple[float, float, float]) -> None:
-    """Refuse a place nearer to the mesh than the stand-off, or where all plumes would reach a part that none may."""
-    away, stand_off = float(target.distance.distance(np.array([position]))[0]), scenario.inspect.stand_off
+def _require_place(scenario: Scenario, free: Measure, entry: str, position: tuple[float, float, float]) -> None:
+    """Refuse a place nearer to mesh or zones than the stand-off, or where all plumes reach a part that none may."""
+    away, stand_off = float(free.distance(np.array([position]))[0]), scenario.inspect.stand_off
     if away < stand_off:
         raise InspectionError(
-            f"{entry}: {list(position)} m is {away:.3f} m from the target; it must be at least inspect.stand_off, "
-            f"{stand_off:g} m, away"
+            f"{entry}: {list(position)} m is {away:.3f} m from the target{' or a zone' if scenario.zone else ''}; it "
+            f"must be at least inspect.stand_off, {stand_off:g} m, away"
         )
     protected = Protected.of(scenario)
     if protected is not None and bool(np.all(protected.reached(jnp.asarray(position)))):
@@ -399,7 +409,7 @@ class Problem:
     @functools.cached_property
     def ways(self) -> Ways:
         """Ways that keep the stand-off, inside `box`."""
-        return Ways.build(self.target.distance, self.scenario.inspect.stand_off, *self.box)
+        return Ways.build(self.room.free, self.scenario.inspect.stand_off, *self.box)
 
     @functools.cached_property
     def fine_ways(self) -> Ways:
@@ -408,7 +418,7 @@ class Problem:
         nodes = float(np.prod(upper - lower)) / (0.5 * stand_off) ** 3
         if nodes <= MOST_NODES:
             return self.ways
-        return Ways.build(self.target.distance, stand_off, lower, upper, most_nodes=int(min(nodes, _FINE_NODES)))
+        return Ways.build(self.room.free, stand_off, lower, upper, most_nodes=int(min(nodes, _FINE_NODES)))
 
     def ways_from(self, position: Point) -> Ways:
         """Give the ways, or such as reach farther where the chaser is outside their box."""
@@ -416,7 +426,7 @@ class Problem:
         if ((position >= lower) & (position <= upper)).all():
             return self.ways
         lower, upper = np.minimum(lower, position - 1.0), np.maximum(upper, position + 1.0)
-        return Ways.build(self.target.distance, self.scenario.inspect.stand_off, lower, upper)
+        return Ways.build(self.room.free, self.scenario.inspect.stand_off, lower, upper)
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """Ways between places that keep the stand-off: their lengths on a grid of exact distances, and their courses.
 
-The distance d to the mesh is 1-Lipschitz: on a straight piece of half length h about its middle m it is nowhere below
-d(m) − h. A piece is *clear* where bisection proves d ≥ stand-off on all of it by that; nothing is sampled.
+The distance d to the mesh, and to zones, is 1-Lipschitz: on a straight piece of half length h about its middle m it is
+nowhere below d(m) − h. A piece is *clear* where bisection proves d ≥ stand-off on all of it by that; nothing is
+sampled.
 """
 
 import math
@@ -12,9 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import shortest_path
 
+from keepout.apps.inspection.seeing.room import Measure
 from keepout.core.control.barrier_grid import travel_time
 from keepout.core.cores import available_cores
-from keepout.core.geometry.distance import Distance, Point, Points
+from keepout.core.geometry.distance import Point, Points
 
 MOST_NODES = 400_000
 """A grid takes the spacing, not below `_FINEST`, at which it has about so many nodes."""
@@ -45,7 +47,7 @@ class Ways:
     """Ways in {d ≥ stand-off}; make one with `Ways.build`.
 
     Attributes:
-        distance: to the mesh.
+        distance: to the mesh, and to what else ways keep the stand-off from.
         stand_off: that a way keeps, m.
         origin: of node (0, 0, 0), m.
         spacing: of the nodes, m.
@@ -54,7 +56,7 @@ class Ways:
 
     """
 
-    distance: Distance
+    distance: Measure
     stand_off: float
     origin: Point
     spacing: float
@@ -63,12 +65,12 @@ class Ways:
 
     @classmethod
     def build(
-        cls, distance: Distance, stand_off: float, lower: Point, upper: Point, *, most_nodes: int = MOST_NODES
+        cls, distance: Measure, stand_off: float, lower: Point, upper: Point, *, most_nodes: int = MOST_NODES
     ) -> "Ways":
         """Lay the grid over a box (m) and find what is open.
 
         Args:
-            distance: to the mesh.
+            distance: to the mesh, and to what else ways keep the stand-off from.
             stand_off: that every way keeps, m.
             lower: corner of the box.
             upper: corner of the box; the places of all ways lie in it.

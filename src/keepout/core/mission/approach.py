@@ -7,7 +7,7 @@ each leg; a zone that has ended by the earliest time at which a leg can begin is
 import dataclasses
 import itertools
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,18 +43,20 @@ _CLEAR: set[tuple[str, str, float]] = set()
 """Corridors, meshes and distances, m, for which this process has proved the room clear."""
 
 
-def require_one_leg(scenario: Scenario, led_by: str) -> None:
+def require_one_leg(scenario: Scenario, led_by: str, *, zones: bool = False) -> None:
     """Refuse legs, zones, corridors and a rule of speeds where they would not be heeded.
 
     Args:
         scenario: as flown.
         led_by: what leads instead, in words.
+        zones: whether these are heeded.
 
     Raises:
         ScenarioError: naming what is there.
 
     """
-    there = [name for name in ("leg", "zone", "corridor") if getattr(scenario, name)]
+    asked = ("leg", "corridor") if zones else ("leg", "zone", "corridor")
+    there = [name for name in asked if getattr(scenario, name)]
     there += ["approach.speed_by_distance"] if scenario.approach.speed_by_distance else []
     if there:
         raise ScenarioError(f"{', '.join(there)}: for fly, campaign and rare; {led_by}. Leave them out")
@@ -283,17 +285,7 @@ def require_approach(around: Surroundings) -> None:
         places += [(named("leg", leg, k), leg.position, time) for k, (leg, time) in legs]
     else:
         places += [("goal.position", scenario.goal.position, 0.0)]
-    radius = scenario.chaser.radius
-    for number, entry in enumerate(scenario.zone):
-        zone = standing_zone(around, entry, 0.0)
-        for name, place, time in places:
-            away = float(zone.value(as_float64(place), as_float64(time)))
-            if away <= radius:
-                since = "" if time == 0.0 else f", which still stands at {time:g} s, the earliest that it is flown to,"
-                raise ScenarioError(
-                    f"{name}: {list(place)} m is {_beyond(away)} {named('zone', entry, number)}{since} "
-                    f"and the chaser's radius is {radius:g} m"
-                )
+    require_outside_zones(around, places)
     for number, entry in enumerate(scenario.corridor):
         wall = corridor_shape(entry)
         name = named("corridor", entry, number)
@@ -311,11 +303,31 @@ def require_approach(around: Surroundings) -> None:
                     f"{place_name}: {list(place)} m is {-away:.3g} m beyond the wall of {name}, and within its length"
                 )
         if target is not None and entry.clear_from is not None:
-            needed = radius + around.kept_margin
+            needed = scenario.chaser.radius + around.kept_margin
             proved = (entry.model_dump_json(), target.sha256, needed)
             if proved not in _CLEAR:  # once for all flights of a process
                 require_clear(wall, entry.clear_from, target.distance, needed, name)
                 _CLEAR.add(proved)
+
+
+def require_outside_zones(around: Surroundings, places: Sequence[tuple[str, Sequence[float], float]]) -> None:
+    """Refuse places (m) in a zone, each with its name and the time (s) from which on the chaser may be there.
+
+    Raises:
+        ScenarioError: naming both, with the numbers.
+
+    """
+    radius = around.scenario.chaser.radius
+    for number, entry in enumerate(around.scenario.zone):
+        zone = standing_zone(around, entry, 0.0)
+        for name, place, time in places:
+            away = float(zone.value(as_float64(place), as_float64(time)))
+            if away <= radius:
+                since = "" if time == 0.0 else f", which still stands at {time:g} s, the earliest that it is flown to,"
+                raise ScenarioError(
+                    f"{name}: {list(place)} m is {_beyond(away)} {named('zone', entry, number)}{since} "
+                    f"and the chaser's radius is {radius:g} m"
+                )
 
 
 def _beyond(away: float) -> str:

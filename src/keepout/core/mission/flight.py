@@ -230,20 +230,22 @@ class Flight:
             "remarks": list(self.audit.remarks),
         } | self._approach_figures()
 
+    def zone_figures(self) -> dict[str, Any]:
+        """Give what the audit says of zones and corridors; nothing where there are none."""
+        zones = [
+            {
+                "name": zone.name,
+                "entered": str(zone.entered),
+                "minimum_clearance_m": _finite(zone.minimum_clearance),
+                "measured_clearance_m": _finite(zone.measured_clearance),
+            }
+            for zone in self.audit.zones
+        ]
+        return {"zones_entered": str(self.audit.zones_entered), "zones": zones} if zones else {}
+
     def _approach_figures(self) -> dict[str, Any]:
         """Give what became of zones, legs and the rule of speeds, of those that the scenario has."""
-        figures: dict[str, Any] = {}
-        if self.audit.zones:
-            figures["zones_entered"] = str(self.audit.zones_entered)
-            figures["zones"] = [
-                {
-                    "name": zone.name,
-                    "entered": str(zone.entered),
-                    "minimum_clearance_m": _finite(zone.minimum_clearance),
-                    "measured_clearance_m": _finite(zone.measured_clearance),
-                }
-                for zone in self.audit.zones
-            ]
+        figures = self.zone_figures()
         if self.legs:
             figures["holds_kept"] = all(leg.kept for leg in self.legs)
             figures["legs"] = [leg.summary() for leg in self.legs]

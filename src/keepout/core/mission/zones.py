@@ -20,9 +20,10 @@ from jaxtyping import Array, Float, Int
 from keepout.core.audit import zones as judged
 from keepout.core.audit.tube import lengths
 from keepout.core.audit.zones import Region, Signed
+from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.errors import MeshError, ScenarioError
 from keepout.core.fields import zones as shapes
-from keepout.core.fields.field import Field, in_pieces
+from keepout.core.fields.field import PIECE, Field, in_pieces
 from keepout.core.fields.zones import ClearRoom, SweptCone, Zone, ZonedField
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.hulls import Hulls, hulls_of
@@ -50,6 +51,8 @@ _FINEST = 2e-3
 """Metres: half the side of the smallest cubes by which room is proved clear."""
 _MOST_CUBES = 500_000
 """That are halved at a time."""
+_FEW = 64
+"""Places, up to which no whole piece of them is asked for."""
 
 
 def named(kind: str, entry: LegEntry | ZoneEntry | CorridorEntry, number: int) -> str:
@@ -260,6 +263,34 @@ def with_zones(distance: Signed, around: Surroundings, begun: Float[np.ndarray, 
         return found, least
 
     return nearest
+
+
+class MeshAndZones:
+    """The least of a mesh's distance and of those to a scenario's zones, m: negative in a zone, and 1-Lipschitz.
+
+    A zone counts with all the room that it takes at any time of the flight, as law and guard ask it at the start.
+    """
+
+    def __init__(self, mesh: Distance, around: Surroundings) -> None:
+        self._mesh = mesh
+        zones = tuple(standing_zone(around, entry, 0.0) for entry in around.scenario.zone)
+        self._nearest = functools.partial(_nearest, zones)
+
+    def distance(self, points: Points) -> Numbers:
+        """Give it of points (m)."""
+        size = _FEW if len(points) <= _FEW else PIECE
+        return np.minimum(self._mesh.distance(points), in_pieces(self._nearest, points, size))
+
+
+def mesh_and_zones(mesh: Distance, around: Surroundings) -> Distance | MeshAndZones:
+    """Give the distance to both, or the mesh's own where the scenario has no zones."""
+    return MeshAndZones(mesh, around) if around.scenario.zone else mesh
+
+
+@kept_jit
+def _nearest(zones: tuple[Zone | SweptCone, ...], points: Float[Array, "points 3"]) -> Float[Array, "points"]:
+    start = as_float64(0.0)
+    return jax.vmap(lambda point: jnp.min(jnp.stack([zone.value(point, start) for zone in zones])))(points)
 
 
 def _parts(zone: ZoneEntry) -> dict[str, Any]:

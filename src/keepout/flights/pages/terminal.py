@@ -373,11 +373,7 @@ def flight_table(summary: Mapping[str, Any]) -> Table:
             key = f"{of}_error_{kind}_{unit}"
             if key in navigation:
                 add(key, f"{of} error, {words} {shown_unit}", navigation[key])
-    if "zones" in summary:
-        entered = {"no": "none, proved", "yes": "yes", "undecided": "not excluded"}[summary["zones_entered"]]
-        add("zones_entered", "zones entered, corridors left", entered)
-        away = [of for zone in summary["zones"] if (of := zone["minimum_clearance_m"]) is not None]
-        add("zone_clearance_m", "away from them, proved lower bound m", min(away, default=None))
+    known, rows = with_zones(known, rows)
     if "legs" in summary:
         kept = sum(leg["kept"] for leg in summary["legs"])
         add("holds", "holds kept", f"{kept} of {len(summary['legs'])}")
@@ -387,6 +383,20 @@ def flight_table(summary: Mapping[str, Any]) -> Table:
     if "speed_rule_excess_mps" in summary:
         rows["speed_rule_excess_mps"] = "beyond the rule of speeds, at most m/s"
     return result_table(f"Flight {summary['name']}", known, rows)
+
+
+def with_zones(summary: Mapping[str, Any], rows: Mapping[str, str]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Give a flight's summary, and words for its entries, with what a person is told of zones, where there are some."""
+    known, words = dict(summary), dict(rows)
+    if "zones" in summary:
+        said = {"no": "none, proved", "yes": "yes", "undecided": "not excluded"}
+        away = [of for zone in summary["zones"] if (of := zone["minimum_clearance_m"]) is not None]
+        known |= {"zones_entered": said[summary["zones_entered"]], "zone_clearance_m": min(away, default=None)}
+        words |= {
+            "zones_entered": "zones entered, corridors left",
+            "zone_clearance_m": "away from them, proved lower bound m",
+        }
+    return known, words
 
 
 def verdict(summary: Mapping[str, Any]) -> str:

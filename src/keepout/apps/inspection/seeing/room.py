@@ -1,7 +1,7 @@
 """The room allowed to a chaser's centre, and how near a camera may come along a beam of directions from a patch."""
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,6 +26,14 @@ _DEEPEST = 10
 """Halvings of the cube: a thousand cells across at most."""
 _STEPS = 24
 """Of a walk up the distance; each about doubles what is left above the stand-off."""
+
+
+class Measure(Protocol):
+    """A distance from places."""
+
+    def distance(self, points: Points) -> Float[np.ndarray, "n"]:
+        """Give it, m, 1-Lipschitz."""
+        ...
 
 
 class Limits(NamedTuple):
@@ -243,9 +251,12 @@ class Room:
         stand_off: least distance of the chaser's centre, m, positive.
         leaf: side of the smallest cells, m; a fifth of the stand-off where absent, and never less than a
             thousandth of the target's size.
+        free: distance to all that places and ways keep the stand-off from: nowhere more than `distance`, which it is
+            where absent. What is nearer to the rest than the stand-off is not allowed, but parts no component.
 
     Attributes:
         distance: as given.
+        free: as given.
         stand_off: as given.
         origin: (3,) lowest corner of the octree's cube, m.
         side: of that cube, m. All beyond it belongs to the room.
@@ -255,12 +266,15 @@ class Room:
 
     """
 
-    def __init__(self, distance: Distance, stand_off: float, *, leaf: float | None = None) -> None:
+    def __init__(
+        self, distance: Distance, stand_off: float, *, leaf: float | None = None, free: Measure | None = None
+    ) -> None:
         leaf = 0.2 * stand_off if leaf is None else leaf
         for name, value in (("stand_off", stand_off), ("leaf", leaf)):
             if not 0.0 < value < math.inf:
                 raise InspectionError(f"room: {name} is {value:g} m; it must be positive and finite")
         self.distance = distance
+        self.free: Measure = distance if free is None else free
         self.stand_off = float(stand_off)
         extent = float((distance.upper - distance.lower).max())
         self.side = extent + 2.0 * (self.stand_off + 2.0 * leaf) + 1e-3
@@ -278,6 +292,11 @@ class Room:
         self._sure = self._cells.connected(within, outer)
         self._possible = self._cells.connected(possible, outer)
 
+    @property
+    def narrowed(self) -> bool:
+        """Whether more than the mesh is kept away from."""
+        return self.free is not self.distance
+
     def allowed(self, points: Points) -> Bool[np.ndarray, " n"]:
         """Say which points surely belong to the room; a few of those that do, at its very border, are not said to.
 
@@ -289,6 +308,8 @@ class Room:
         answer = np.zeros(len(points), bool)
         here, gradient = self.distance.distance_and_gradient(points)
         active = np.flatnonzero(here >= self.stand_off)
+        if self.narrowed:
+            active = active[self.free.distance(points[active]) >= self.stand_off]
         places, here, gradient = points[active], here[active], gradient[active]
         for _ in range(_STEPS):
             holder = self._cells.locate(places)

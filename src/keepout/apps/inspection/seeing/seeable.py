@@ -39,6 +39,10 @@ MOST_EDGES = 48
 """Of a shadow: a triangle cut by two planes has 5 corners, a patch 8."""
 _ROUNDING = 16 * np.finfo(np.float64).eps
 """Part of the largest coordinate by which rounding moves a point in the patch's axes: more than it does."""
+FAR, _STEEP = 0.97, 0.97
+"""Of the greatest range and incidence, the most that places are drawn at: a patch has an extent."""
+_DRAWN = 64
+"""Places drawn for a unit that is seen from where more than the mesh is too near."""
 _SAME = 1e-9
 """Points of a shadow nearer to each other than this part of their size are taken as one."""
 
@@ -115,7 +119,8 @@ def seeable(
     """Say of each counted unit whether it can be seen at all from the room allowed, without regard to light.
 
     A unit that is called seeable has a witness, checked by `sight`, the rules and the room. One that is called hidden
-    is proved to be (docs/seeing.md), to a part in 5000 of the stand-off.
+    is proved to be (docs/seeing.md), to a part in 5000 of the stand-off. What a narrowed room takes away is
+    in no proof: a unit of which only that leaves no witness is called undecided.
 
     Args:
         sight: the mesh and its units.
@@ -136,6 +141,7 @@ def seeable(
     units = np.flatnonzero(patches.counted)
     units = units[np.argsort(-areas[units], kind="stable")]
     # In each queue the largest come first; of the queues, the one whose first unit has most area for the work ahead.
+    generator = np.random.default_rng(0)
     queues = [collections.deque([units] if len(units) else [])] + [collections.deque() for _ in _SQUARES[1:]]
     looked, by_clock = 0, False
     while any(queues) and looked < squares:
@@ -158,6 +164,11 @@ def seeable(
         decided += float(areas[seen[sure]].sum() + areas[some[ends == NONE]].sum())
         share = decided / float(areas.sum())
         progress(0.02 + 0.93 * share, f"of {share:.2%} of the area it is known whether it can be seen")
+    for _ in range(_DRAWN if room.narrowed else 0):
+        left = np.flatnonzero(patches.counted & (verdict == Verdict.UNDECIDED))
+        places = drawn_before(patches, left, rules, room.stand_off, generator)
+        sure = witnessed(sight, rules, room, places, left)
+        verdict[left[sure]], witness[left[sure]] = Verdict.SEEABLE, places[sure]
     why = np.full(count, Hidden.NOT, dtype=np.int8)
     hidden = np.flatnonzero(verdict == Verdict.HIDDEN)
     why[hidden] = np.where(_enclosed(tree, patches, hidden), Hidden.ENCLOSED, Hidden.NARROW)
@@ -180,6 +191,24 @@ def witnessed(
     kept &= room.allowed(places)
     kept[kept] = sight.clear(places[kept], units[kept])
     return kept
+
+
+def drawn_before(
+    patches: Patches,
+    units: Int[np.ndarray, " m"],
+    rules: SeeingRules,
+    least: float,
+    generator: np.random.Generator,
+) -> Float[np.ndarray, "m 3"]:
+    """Draw a place (m) for each unit, by range and incidence such as the rules allow, from `least` metres on."""
+    low, high = max(least, rules.least_range), FAR * rules.greatest_range
+    cosine = generator.uniform(np.cos(_STEEP * rules.greatest_incidence), 1.0, len(units))
+    turn = generator.uniform(0.0, 2.0 * np.pi, len(units))
+    normals = patches.unit_normals()[units]
+    side, other = axes_across(normals)
+    sine = np.sqrt(1.0 - cosine**2)[:, None]
+    towards = cosine[:, None] * normals + sine * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other)
+    return patches.centres[units // 2] + generator.uniform(low, max(low, high), len(units))[:, None] * towards
 
 
 def _enclosed(tree: RayTree, patches: Patches, units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
