@@ -11,7 +11,7 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from keepout.core.errors import ScenarioError
 from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64
@@ -19,7 +19,7 @@ from keepout.core.motion.relative import MotionState
 
 
 class Sample(eqx.Module):
-    """What one sensor says at a control step.
+    """What one sensor says at a control step (leading axes: to many flights).
 
     Attributes:
         value: what was measured `latency` control periods ago; not looked at where nothing came.
@@ -27,8 +27,8 @@ class Sample(eqx.Module):
 
     """
 
-    value: Float[Array, " n"]
-    came: Flag
+    value: Float[Array, "*flights n"]
+    came: Bool[Array, "*flights"]
 
 
 class Ball(eqx.Module):
