@@ -129,7 +129,17 @@ def test_a_guarded_inspection_beside_two_zones_sees_all_that_is_left_and_ends():
     assert found.start_certified
     for away in (from_wall, from_beam, box_distance):
         assert away(found.record.position).min() >= STAND_OFF
-        assert away([view.position for view in found.plan.views]).min() >= STAND_OFF
+        assert away(np.array([view.position for view in found.plan.views])).min() >= STAND_OFF
+
+
+@pytest.mark.slow
+def test_a_start_far_behind_a_zone_is_led_round_it():
+    plate = {"shape": "box", "lower": (-6.0, -5.0, 12.0), "upper": (6.0, 5.0, 13.0)}
+    found = inspect(scenario(plate, start={"position": (0.0, 0.0, 22.0)}, inspect={"coverage": 0.2}))
+    assert found.outcome == "20 % asked, seen", found.why
+    assert found.audit.zones_entered is Contact.NO
+    beyond = np.maximum(np.abs(found.record.position - (0.0, 0.0, 12.5)) - (6.0, 5.0, 0.5), 0.0)
+    assert np.linalg.norm(beyond, axis=1).min() >= STAND_OFF
 
 
 @pytest.mark.slow

@@ -45,6 +45,15 @@ _SLOWEST = 0.2
 """Share of the speed limit below which no leg is flown so that the boresight may turn meanwhile."""
 
 
+def _box(scenario: Scenario, target: Target) -> tuple[Point, Point]:
+    """Give corners (m) of the grid of ways: from beyond it the guidance leads straight back."""
+    beyond, start = scenario.camera.greatest_range + _BORDER, np.asarray(scenario.start.position)
+    lower, upper = target.vertices.min(axis=0) - beyond, target.vertices.max(axis=0) + beyond
+    if not scenario.zone:
+        return lower, upper
+    return np.minimum(lower, start - _BORDER), np.maximum(upper, start + _BORDER)
+
+
 @dataclass(frozen=True, eq=False)
 class AroundMesh(Leading):
     """A scenario's law around one mesh: its keep-out zone keeps the stand-off.
@@ -90,19 +99,17 @@ class AroundMesh(Leading):
         scenario = moved(scenario, start, far)
         require_apart(scenario, target)
         require_navigation(scenario)
-        bound = model.certificate(scenario.chaser.radius).error_bound
-        least = bound + scenario.chaser.radius + scenario.safety.margin
-        nominal = require_stand_off(scenario, target, bound) - least
+        radius = scenario.chaser.radius
+        bound = model.certificate(radius).error_bound
+        nominal = require_stand_off(scenario, target, bound) - (bound + radius + scenario.safety.margin)
         assumed = Surroundings(scenario, target).guard_assumptions
         kept = scenario.inspect.stand_off + float(assumed.position_error) + _WANDERING
-        margin, stated = max(scenario.safety.margin, kept - scenario.chaser.radius - bound - nominal), scenario
+        margin, stated = max(scenario.safety.margin, kept - radius - bound - nominal), scenario
         scenario = scenario.model_copy(update={"safety": scenario.safety.model_copy(update={"margin": margin})})
-        offset = bound + scenario.chaser.radius + margin + nominal
-        beyond = scenario.camera.greatest_range + _BORDER
-        lower, upper = target.vertices.min(axis=0) - beyond, target.vertices.max(axis=0) + beyond
-        spacing, told = scenario.control.spacing, part_of(progress, 0.4, 0.8)
-        field = zoned(Surroundings(scenario), model.field, bound + scenario.chaser.radius)
-        grid = BarrierGrid.build(field, offset, lower, upper, spacing=spacing, progress=told)
+        offset = bound + radius + margin + nominal
+        field, told = zoned(Surroundings(scenario), model.field, bound + radius), part_of(progress, 0.4, 0.8)
+        box, spacing = _box(scenario, target), scenario.control.spacing
+        grid = BarrierGrid.build(field, offset, *box, spacing=spacing, progress=told)
         motion = Surroundings(scenario).motion
         initial = motion.initial_state(start, np.asarray(scenario.start.velocity))
         sensed = navigation(scenario, motion, assumed)
