@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from keepout.core.control.guidance import Guidance
-from keepout.core.control.velocity_program import Circulation, VelocityProgram, solve
+from keepout.core.control.unit_program import Circulation, VelocityProgram
+from keepout.core.control.velocity_program import solve
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
 from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64, norm
