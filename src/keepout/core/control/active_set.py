@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from keepout.core.control.interior_point import TINY, Iterate, back_substitute, factor
+from keepout.core.control.interior_point import TINY, Factors, Iterate, back_substitute, factor
 from keepout.core.control.unit_program import UnitProgram, length, objective_slope, or_one
 from keepout.core.motion.arrays import Flag, Scalar, Vector
 
@@ -18,22 +18,25 @@ _FEASIBLE = 1e-12
 _OPTIMAL = 1e-11
 _NEWTON_STEPS = 3
 _TRIES = 12
+_COINCIDING = 1e-12
 
 
 class Active(NamedTuple):
-    """Which rows hold with equality: barrier, speed cone, and for each component −1, 0 or 1 for the box."""
+    """Which rows hold with equality: barrier, speed cone, for each component −1, 0 or 1 for the box, half-spaces."""
 
     barrier: Flag
     speed: Flag
     box: Vector
+    half_spaces: Bool[Array, "rows"] | None = None
 
 
 class Stationary(NamedTuple):
-    """Velocity and the multipliers of the barrier row and the speed cone; or a change of them."""
+    """Velocity and the multipliers of the barrier row, the speed cone and the half-spaces; or a change of them."""
 
     velocity: Vector
     barrier: Scalar
     speed: Scalar
+    half_spaces: Float[Array, "rows"] | None = None
 
 
 class _Equations(NamedTuple):
@@ -42,6 +45,7 @@ class _Equations(NamedTuple):
     stationarity: Vector
     barrier: Scalar
     speed: Scalar
+    half_spaces: Float[Array, "rows"] | None = None
 
 
 def identify(unit: UnitProgram, iterate: Iterate) -> tuple[Active, Stationary]:
@@ -63,7 +67,14 @@ def identify(unit: UnitProgram, iterate: Iterate) -> tuple[Active, Stationary]:
     if unit.box is not None:
         held = jnp.where(row_multipliers > slacks.lines, 1.0, 0.0)
         box = held[-6:-3] - held[-3:]
-    return Active(touching[0], speed, box), Stationary(point[:3], values[0], speed_value)
+    further, further_values = None, None
+    if unit.half_spaces is not None:
+        first = row + (unit.gradient_error is None)
+        lines = slice(first, first + len(unit.half_spaces.rates))
+        further = row_multipliers[lines] > slacks.lines[lines]
+        further_values = jnp.where(further, row_multipliers[lines] * slope, 0.0)
+    at = Stationary(point[:3], values[0], speed_value, further_values)
+    return Active(touching[0], speed, box, further), at
 
 
 def _shortfall(unit: UnitProgram, velocity: Vector) -> Scalar:
@@ -83,12 +94,16 @@ def _residuals(unit: UnitProgram, active: Active, at: Stationary) -> tuple[_Equa
     force = v - unit.desired - at.barrier * (unit.normal - unit.error * direction) + at.speed * v
     if unit.circulation is not None:
         force = force - 2.0 * unit.circulation.weight * _shortfall(unit, v) * unit.circulation.tangent
+    further = None
+    if unit.half_spaces is not None and at.half_spaces is not None:
+        force = force - jnp.sum(at.half_spaces[:, None] * unit.half_spaces.normals, axis=0)
+        further = jnp.sum(unit.half_spaces.normals * v, axis=-1) + unit.half_spaces.rates
     stationarity = force
     if unit.box is not None:
         stationarity = jnp.where(active.box != 0.0, v - active.box * unit.box, force)
     barrier = jnp.sum(unit.normal * v) - unit.error * speed + unit.barrier_rate
     limit = jnp.zeros_like(speed) if unit.speed is None else 0.5 * (jnp.sum(v * v) - unit.speed**2)
-    return _Equations(stationarity, barrier, limit), force
+    return _Equations(stationarity, barrier, limit, further), force
 
 
 def _correction(
@@ -113,6 +128,9 @@ def _correction(
     barrier_value = values.barrier + jnp.sum(gradient * fixed)
     speed_value = values.speed + jnp.sum(v * fixed)
     rhs = values.stationarity + jnp.sum(hessian * fixed, axis=-1)
+    if unit.half_spaces is not None:
+        factors = factor(free[:, None] * free * hessian + jnp.diag(1.0 - free))
+        return _of_all_rows(unit, active, values, fixed, factors, free * rhs, jnp.stack([gradient, -v]))
     if apart:
         columns = [free * rhs, free * gradient, free * v]
     else:
@@ -132,6 +150,42 @@ def _correction(
     barrier = (ss * target_b + bs * target_s) / safe
     limit = (bs * target_b + bb * target_s) / safe
     return Stationary(fixed - from_rhs + from_gradient * barrier - from_velocity * limit, barrier, limit)
+
+
+def _of_all_rows(
+    unit: UnitProgram,
+    active: Active,
+    values: _Equations,
+    fixed: Vector,
+    factors: Factors,
+    rhs: Vector,
+    gradients: Float[Array, "2 3"],
+) -> Stationary:
+    """Return the correction of a program with half-spaces, from the factors of the free components' Hessian.
+
+    `fixed` is the change of the held components, `gradients` those of the barrier row and the speed limit.
+    """
+    assert unit.half_spaces is not None
+    assert active.half_spaces is not None
+    assert values.half_spaces is not None
+    gradients = jnp.concatenate([gradients, unit.half_spaces.normals])
+    missed = jnp.concatenate([jnp.stack([values.barrier, -values.speed]), values.half_spaces])
+    missed = missed + jnp.sum(gradients * fixed, axis=-1)
+    from_rhs = back_substitute(factors, rhs)
+    columns = jnp.where(active.box == 0.0, gradients, 0.0).T
+    from_rows = back_substitute(factors, columns)
+
+    # Schur complement of the active rows; an inactive row, or one that nothing free moves, keeps its multiplier.
+    schur = jnp.sum(columns[:, :, None] * from_rows[:, None, :], axis=0)
+    size = jnp.diagonal(schur)
+    acting = jnp.concatenate([jnp.stack([active.barrier, active.speed]), active.half_spaces]) & (size > 0.0)
+    # Of rows that all but coincide, or are more than can meet in a point, the change of multipliers is then large with
+    # opposite signs, and the sign says which of them are to be let go.
+    size = jnp.where(acting, size * (1.0 + _COINCIDING), 1.0)
+    schur = jnp.where(acting[:, None] & acting & ~jnp.eye(len(size), dtype=bool), schur, jnp.diag(size))
+    wanted = jnp.where(acting, jnp.sum(columns * from_rhs[:, None], axis=0) - missed, 0.0)
+    change = back_substitute(factor(schur), wanted)
+    return Stationary(fixed - from_rhs + jnp.sum(from_rows * change, axis=1), change[0], change[1], change[2:])
 
 
 class _Attempt(NamedTuple):
@@ -185,15 +239,22 @@ def _judge(unit: UnitProgram, active: Active, at: Stationary, change: Scalar) ->
         beyond = (box == 0.0) & (jnp.abs(at.velocity) > unit.box * (1.0 + _FEASIBLE))
         good &= ~jnp.any(beyond | released)
         box = jnp.where(beyond, jnp.sign(at.velocity), jnp.where(released, 0.0, box))
-    # A point far outside the box says nothing about the other two rows.
+    # A point far outside the box says nothing about the other rows.
     inside = ~jnp.any(beyond)
     barrier, speed = barrier | (barrier_broken & inside), speed | (speed_broken & inside)
+    further, multipliers, met = None, None, barrier | speed
+    if active.half_spaces is not None and at.half_spaces is not None and values.half_spaces is not None:
+        slack, rising = values.half_spaces, at.half_spaces >= -optimal
+        good &= jnp.all(jnp.where(active.half_spaces, (jnp.abs(slack) <= _FEASIBLE) & rising, slack >= -_FEASIBLE))
+        further = active.half_spaces & rising & ~((slack > _FEASIBLE) & (at.half_spaces <= optimal))
+        further = further | ((slack < -_FEASIBLE) & inside & ~active.half_spaces)
+        multipliers, met = jnp.where(further, at.half_spaces, 0.0), met | jnp.any(further)
     if unit.box is not None:
         # At a corner of the box nothing can move: a further row takes the place of the face that holds least.
-        cornered = jnp.all(box != 0.0) & (barrier | speed)
+        cornered = jnp.all(box != 0.0) & met
         box = jnp.where(cornered & (jnp.abs(force) <= jnp.min(jnp.abs(force))), 0.0, box)
-    chosen = Active(barrier, speed, box)
-    again = Stationary(at.velocity, jnp.where(barrier, at.barrier, 0.0), jnp.where(speed, at.speed, 0.0))
+    chosen = Active(barrier, speed, box, further)
+    again = Stationary(at.velocity, jnp.where(barrier, at.barrier, 0.0), jnp.where(speed, at.speed, 0.0), multipliers)
     return good, chosen, again
 
 
@@ -232,10 +293,14 @@ def sensitivity(unit: UnitProgram, change: UnitProgram, active: Active, at: Stat
         short_change = jnp.where(short > 0.0, moved.rate - jnp.sum(moved.tangent * v), 0.0)
         force = force - 2.0 * moved.weight * short * data.tangent
         force = force - 2.0 * data.weight * (short_change * data.tangent + short * moved.tangent)
+    further = None
+    if change.half_spaces is not None and at.half_spaces is not None:
+        force = force - jnp.sum(at.half_spaces[:, None] * change.half_spaces.normals, axis=0)
+        further = jnp.sum(change.half_spaces.normals * v, axis=-1) + change.half_spaces.rates
     if unit.box is not None and change.box is not None:
         force = jnp.where(active.box != 0.0, -active.box * change.box, force)
     barrier = jnp.sum(change.normal * v) - change.error * speed + change.barrier_rate
     limit = jnp.zeros_like(speed)
     if unit.speed is not None and change.speed is not None:
         limit = -unit.speed * change.speed
-    return _correction(unit, active, at, _Equations(force, barrier, limit), apart=apart).velocity
+    return _correction(unit, active, at, _Equations(force, barrier, limit, further), apart=apart).velocity

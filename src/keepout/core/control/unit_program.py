@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
 
 from keepout.core.control.interior_point import ConicProgram
 from keepout.core.errors import ControlError
@@ -25,6 +26,17 @@ class Circulation(eqx.Module):
     weight: Scalar
 
 
+class HalfSpaces(eqx.Module):
+    """The rows normals · v + rates ≥ 0: the barrier condition of each further thing to stay clear of.
+
+    `normals` (rows, 3) are the gradients of exact distances, `rates` (rows,) α of their barriers, m/s; a row that is
+    never to act has a large finite rate.
+    """
+
+    normals: Float[Array, "rows 3"]
+    rates: Float[Array, "rows"]
+
+
 class VelocityProgram(eqx.Module):
     """Minimise ½‖desired − v‖² + p σ² over the safe velocities v with a speed cone beside the box.
 
@@ -33,7 +45,8 @@ class VelocityProgram(eqx.Module):
     The constraints are normal · v + barrier_rate ≥ gradient_error ‖v‖; tangent · v − rate ≥ σ where `circulation` is
     given; |v_i| ≤ box where given; ‖v‖ ≤ speed where given. A constraint that is absent (None) has no row, and
     without `gradient_error` (e_∇h) the barrier row is a half-space. At least one of box and
-    speed must be given. Velocities in m/s; `normal` is ∇f̃, `barrier_rate` is α(h) in m/s.
+    speed must be given. Velocities in m/s; `normal` is ∇f̃, `barrier_rate` is α(h) in m/s. `half_spaces` are barrier
+    rows of further things.
 
     Raises `ControlError` if neither box nor speed is given.
     """
@@ -45,6 +58,7 @@ class VelocityProgram(eqx.Module):
     circulation: Circulation | None = None
     box: Scalar | None = None
     speed: Scalar | None = None
+    half_spaces: HalfSpaces | None = None
 
     def __check_init__(self) -> None:
         if self.box is None and self.speed is None:
@@ -61,6 +75,7 @@ class UnitProgram(NamedTuple):
     circulation: Circulation | None
     box: Scalar | None
     speed: Scalar | None
+    half_spaces: HalfSpaces | None
     size: Scalar
 
     @property
@@ -69,7 +84,7 @@ class UnitProgram(NamedTuple):
         return jnp.zeros_like(self.barrier_rate) if self.gradient_error is None else self.gradient_error
 
 
-def or_one(size: Scalar) -> Scalar:
+def or_one(size: Float[Array, "*rows"]) -> Float[Array, "*rows"]:
     """Give a size that may be divided by: one for zero."""
     return jnp.where(size > 0.0, size, 1.0)
 
@@ -86,6 +101,11 @@ def row_length(program: VelocityProgram) -> Scalar:
     """‖n‖ + e, by which the barrier row is divided; one for an empty row."""
     error = 0.0 if program.gradient_error is None else program.gradient_error
     return or_one(length(program.normal) + error)
+
+
+def row_lengths(half_spaces: HalfSpaces) -> Float[Array, "rows"]:
+    """Give the lengths by which half-spaces are divided."""
+    return or_one(jax.vmap(length)(half_spaces.normals))
 
 
 def _largest_speed(program: VelocityProgram) -> Scalar:
@@ -115,6 +135,11 @@ def to_unit(program: VelocityProgram) -> UnitProgram:
         unit = or_one(tangent_length)
         rate = jnp.where(tangent_length > 0.0, rate / (unit * size), -_FAR)
         circulation = Circulation(tangent / unit, jnp.maximum(rate, -_FAR), weight * unit * unit)
+    half_spaces = None
+    if program.half_spaces is not None:
+        normals, lengths = program.half_spaces.normals, row_lengths(program.half_spaces)
+        rates = jnp.clip(program.half_spaces.rates / (lengths * size), -1e6, _FAR)
+        half_spaces = HalfSpaces(normals / lengths[:, None], rates)
     return UnitProgram(
         desired=program.desired / size,
         normal=program.normal / row,
@@ -123,6 +148,7 @@ def to_unit(program: VelocityProgram) -> UnitProgram:
         circulation=circulation,
         box=None if program.box is None else jnp.minimum(program.box / size, _FAR),
         speed=None if program.speed is None else jnp.minimum(program.speed / size, _FAR),
+        half_spaces=half_spaces,
         size=size,
     )
 
@@ -173,10 +199,54 @@ def escape_velocity(unit: UnitProgram) -> tuple[Scalar, Vector]:
     return best, velocity
 
 
+def nearest_row(unit: UnitProgram) -> tuple[Int[Array, ""], UnitProgram]:
+    """Give the barrier row of the least rate, 0 the first, and the program with that row alone."""
+    if unit.half_spaces is None:
+        return jnp.zeros((), jnp.int32), unit
+    rates = jnp.append(unit.barrier_rate, unit.half_spaces.rates)
+    normals = jnp.concatenate([unit.normal[None], unit.half_spaces.normals])
+    row = jnp.argmin(rates).astype(jnp.int32)
+    error = None if unit.gradient_error is None else jnp.where(row == 0, unit.gradient_error, 0.0)
+    alone = unit._replace(normal=normals[row], barrier_rate=rates[row], gradient_error=error, half_spaces=None)
+    return row, alone
+
+
+def passable(unit: UnitProgram) -> UnitProgram:
+    """Relax all barrier rows but the nearest, so that the program is feasible exactly if that row alone can be met.
+
+    Where every rate is at least zero rest is feasible, and nothing is relaxed. Inside of something, where a rate is
+    negative, some velocity must lead out of what is nearest; here the one that leads out twice as fast as it must,
+    straight where the limits leave that. Another row that forbids it is relaxed until it allows it, no more. So a row
+    is changed by little where the chaser is inside by little, and nothing jumps.
+    """
+    if unit.half_spaces is None:
+        return unit
+    nearest, alone = nearest_row(unit)
+    gain, escape = escape_velocity(alone)
+    n, missing, size = alone.normal, jnp.maximum(-alone.barrier_rate, 0.0), length(alone.normal)
+    steep = jnp.maximum(size - alone.error, 0.0)
+    straight = n * (2.0 * missing / (or_one(size) * or_one(steep)))
+    fits = steep > 0.0
+    if unit.box is not None:
+        fits = jnp.all(jnp.abs(straight) <= unit.box)
+    if unit.speed is not None:
+        fits = fits & (length(straight) <= unit.speed)
+    way = jnp.where(fits, straight, jnp.minimum(2.0 * missing / or_one(gain), 1.0) * escape)
+    first = jnp.maximum(unit.barrier_rate, unit.error * length(way) - jnp.sum(unit.normal * way))
+    normals, rates = unit.half_spaces.normals, unit.half_spaces.rates
+    others = jnp.maximum(rates, -jnp.sum(normals * way, axis=-1))
+    kept = nearest == jnp.arange(len(rates) + 1)
+    return unit._replace(
+        barrier_rate=jnp.where(kept[0], unit.barrier_rate, first),
+        half_spaces=HalfSpaces(normals, jnp.where(kept[1:], rates, others)),
+    )
+
+
 def to_conic(unit: UnitProgram) -> ConicProgram:
     """Rows and cones for the interior point; the circulation slack w = −σ is a fourth unknown with its own row.
 
-    Rows: circulation, then the barrier where it is a half-space. Cones: else the barrier, then the speed limit.
+    Rows: circulation, then the barrier where it is a half-space, then the half-spaces. Cones: else the barrier, then
+    the speed limit.
     """
     slope = objective_slope(unit)
     n = 3 if unit.circulation is None else 4
@@ -194,6 +264,9 @@ def to_conic(unit: UnitProgram) -> ConicProgram:
     else:
         cones.append(jnp.concatenate([normal[None], unit.gradient_error * jnp.eye(3, n)])[None])
         heads.append(unit.barrier_rate)
+    if unit.half_spaces is not None:
+        rows.append(jnp.pad(unit.half_spaces.normals, ((0, 0), (0, n - 3))))
+        offsets.extend(unit.half_spaces.rates)
     if unit.speed is not None:
         cones.append(jnp.eye(4, n, k=-1)[None])
         heads.append(unit.speed)

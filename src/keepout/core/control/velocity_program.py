@@ -16,12 +16,16 @@ from jaxtyping import Array, Int
 from keepout.core.control.active_set import Active, Stationary, identify, polish, sensitivity
 from keepout.core.control.interior_point import interior_point
 from keepout.core.control.unit_program import (
+    HalfSpaces,
     UnitProgram,
     VelocityProgram,
     escape_velocity,
     length,
+    nearest_row,
     or_one,
+    passable,
     row_length,
+    row_lengths,
     to_conic,
     to_unit,
 )
@@ -78,12 +82,16 @@ def _rest_is_optimal(unit: UnitProgram) -> Flag:
         pull = pull + push * unit.circulation.tangent
     along = jnp.sum(pull * unit.normal)
     spread = jnp.sum(unit.normal**2) - unit.error**2
-    return (spread <= 0.0) | ((along <= 0.0) & (along * along >= jnp.sum(pull**2) * spread))
+    optimal = (spread <= 0.0) | ((along <= 0.0) & (along * along >= jnp.sum(pull**2) * spread))
+    return optimal if unit.half_spaces is None else optimal & jnp.all(unit.half_spaces.rates >= 0.0)
 
 
 def _iterate(unit: UnitProgram, easy: Flag) -> tuple[Active, Stationary, Flag, Int[Array, ""]]:
     """Interior point and polish. Where a closed form answers (`easy`) they work on a program that they can finish."""
     tame = unit._replace(barrier_rate=jnp.where(easy, 3.0, unit.barrier_rate))
+    if unit.half_spaces is not None:
+        rates = jnp.where(easy, 3.0, unit.half_spaces.rates)
+        tame = tame._replace(half_spaces=HalfSpaces(unit.half_spaces.normals, rates))
     iterate = interior_point(to_conic(tame))
     return *polish(tame, *identify(tame, iterate)), iterate.iterations
 
@@ -122,12 +130,15 @@ def _solve_unit(program: VelocityProgram) -> _Outcome:
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(program)]))
     # Non-finite data are replaced by harmless ones here and answered with zero below.
     unit = jax.tree.map(lambda x: jnp.where(finite, x, 1.0), unit)
-    gain, escape = escape_velocity(unit)
-    room = unit.barrier_rate + gain
+    nearest = nearest_row(unit)[1]
+    gain, escape = escape_velocity(nearest)
+    room = nearest.barrier_rate + gain
+    unit = passable(unit)
     escaping = room <= _EDGE
     resting = (jnp.abs(unit.barrier_rate) <= _AT_APEX) & (unit.error > 0.0) & _rest_is_optimal(unit)
     easy = escaping | resting
-    simple = program.gradient_error is None and program.circulation is None and program.box is None
+    rows = (program.gradient_error, program.circulation, program.box, program.half_spaces)
+    simple = all(row is None for row in rows)
     active, at, good, iterations = _project(unit) if simple else _iterate(unit, easy)
     velocity = jnp.where(escaping, escape, jnp.where(resting, 0.0, at.velocity))
     status = jnp.where(good | easy, ConeStatus.SOLVED, ConeStatus.STALLED)
@@ -147,7 +158,8 @@ def _change(primals: tuple, tangents: tuple, *, apart: bool) -> Vector:
     """Return the derivative of the solution, m/s, from the optimality conditions."""
     program, outcome = primals
     unit, change = jax.jvp(to_unit, (program,), (tangents[0],))
-    (_, _), (_, escape_change) = jax.jvp(escape_velocity, (unit,), (change,))
+    (_, _), (_, escape_change) = jax.jvp(lambda unit: escape_velocity(nearest_row(unit)[1]), (unit,), (change,))
+    unit, change = jax.jvp(passable, (unit,), (change,))
     inside = sensitivity(unit, change, outcome.active, outcome.at, apart=apart)
     derivative = jnp.where(outcome.escaping, escape_change, jnp.where(outcome.resting, 0.0, inside))
     derivative = unit.size * derivative + change.size * outcome.at.velocity
@@ -177,6 +189,9 @@ def solve(program: VelocityProgram, *, forward: bool = False) -> ConeSolution:
     """
     data = jax.lax.stop_gradient(program)
     outcome = jax.lax.stop_gradient(_solve_unit(data))
-    room = outcome.room * to_unit(data).size * row_length(data)
+    row = row_length(data)
+    if data.half_spaces is not None:
+        row = jnp.append(row, row_lengths(data.half_spaces))[nearest_row(to_unit(data))[0]]
+    room = outcome.room * to_unit(data).size * row
     velocity = (_velocity_forward if forward else _velocity)(program, outcome)
     return ConeSolution(velocity, outcome.status, room, outcome.iterations)
