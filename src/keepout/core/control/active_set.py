@@ -73,8 +73,7 @@ def identify(unit: UnitProgram, iterate: Iterate) -> tuple[Active, Stationary]:
         lines = slice(first, first + len(unit.half_spaces.rates))
         further = row_multipliers[lines] > slacks.lines[lines]
         further_values = jnp.where(further, row_multipliers[lines] * slope, 0.0)
-    at = Stationary(point[:3], values[0], speed_value, further_values)
-    return Active(touching[0], speed, box, further), at
+    return Active(touching[0], speed, box, further), Stationary(point[:3], values[0], speed_value, further_values)
 
 
 def _shortfall(unit: UnitProgram, velocity: Vector) -> Scalar:
@@ -242,16 +241,17 @@ def _judge(unit: UnitProgram, active: Active, at: Stationary, change: Scalar) ->
     # A point far outside the box says nothing about the other rows.
     inside = ~jnp.any(beyond)
     barrier, speed = barrier | (barrier_broken & inside), speed | (speed_broken & inside)
-    further, multipliers, met = None, None, barrier | speed
+    further, multipliers = None, None
     if active.half_spaces is not None and at.half_spaces is not None and values.half_spaces is not None:
         slack, rising = values.half_spaces, at.half_spaces >= -optimal
         good &= jnp.all(jnp.where(active.half_spaces, (jnp.abs(slack) <= _FEASIBLE) & rising, slack >= -_FEASIBLE))
         further = active.half_spaces & rising & ~((slack > _FEASIBLE) & (at.half_spaces <= optimal))
         further = further | ((slack < -_FEASIBLE) & inside & ~active.half_spaces)
-        multipliers, met = jnp.where(further, at.half_spaces, 0.0), met | jnp.any(further)
+        multipliers = jnp.where(further, at.half_spaces, 0.0)
     if unit.box is not None:
         # At a corner of the box nothing can move: a further row takes the place of the face that holds least.
-        cornered = jnp.all(box != 0.0) & met
+        cornered = jnp.all(box != 0.0)
+        cornered = cornered & (barrier | speed if further is None else barrier | speed | jnp.any(further))
         box = jnp.where(cornered & (jnp.abs(force) <= jnp.min(jnp.abs(force))), 0.0, box)
     chosen = Active(barrier, speed, box, further)
     again = Stationary(at.velocity, jnp.where(barrier, at.barrier, 0.0), jnp.where(speed, at.speed, 0.0), multipliers)
