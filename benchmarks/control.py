@@ -23,7 +23,8 @@ from kept_rows import command
 from keepout.core.control import profiles
 from keepout.core.control.guidance import Straight
 from keepout.core.control.profiles import Operation
-from keepout.core.control.velocity_program import Circulation, VelocityProgram, solve
+from keepout.core.control.unit_program import Circulation, VelocityProgram
+from keepout.core.control.velocity_program import solve
 from keepout.core.fields import neural
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField

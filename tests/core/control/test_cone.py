@@ -9,7 +9,8 @@ import pytest
 import scs
 from scipy import sparse
 
-from keepout.core.control.velocity_program import Circulation, ConeStatus, VelocityProgram, solve
+from keepout.core.control.unit_program import Circulation, VelocityProgram
+from keepout.core.control.velocity_program import ConeStatus, solve
 from keepout.core.errors import ControlError
 
 LIMIT = 0.1

@@ -446,6 +446,7 @@ def paper(
         # Without e_∇h the barrier row is a half-space, and the program a quadratic one.
         gradient_error=None if gradient_error == 0.0 else as_float64(gradient_error),
         box=as_float64(chaser.speed_limit),
+        row_per_zone=True,
     )
     tracking = Tracking(
         gain=15.0,

@@ -9,6 +9,7 @@ is not tangent.
 import abc
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,13 +18,18 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from keepout.core.control.guidance import Guidance
-from keepout.core.control.velocity_program import Circulation, VelocityProgram, solve
+from keepout.core.control.unit_program import Circulation, HalfSpaces, VelocityProgram
+from keepout.core.control.velocity_program import solve
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
+from keepout.core.fields.zones import ZonedField
 from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64, norm
 
 PRINTED = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """Ω as printed in the paper, section VI."""
+
+_NEVER = 1e100
+"""Metres: so far that no row acts."""
 
 
 def skew(axis: Vector) -> Float[Array, "3 3"]:
@@ -50,6 +56,13 @@ class CirculationLaw(eqx.Module):
     @abc.abstractmethod
     def matrix(self, memory: Vector) -> Float[Array, "3 3"]:
         """Return Ω."""
+
+    def round(self, barriers: Float[Array, "things"], normals: Float[Array, "things 3"]) -> Vector:
+        """Return the gradient to turn round, of several things' barriers (m) and gradients.
+
+        Each weighs exp(−slope h/level). Of the nearest alone it would jump, and T with it, where two are equally near.
+        """
+        return jnp.sum(jax.nn.softmax(-self.slope / self.level * barriers)[:, None] * normals, axis=0)
 
     def inequality(self, memory: Vector, barrier: Scalar, normal: Vector) -> Circulation:
         """Return the inequality at a point with barrier h (m) and gradient ∇f̃."""
@@ -160,6 +173,19 @@ class SpeedCone(eqx.Module):
         return jnp.minimum(self.limit, jnp.sqrt(2.0 * self.authority * (jnp.maximum(barrier, 0.0) + self.reserve)))
 
 
+class Barriers(NamedTuple):
+    """A barrier to first order about a point, or several along a leading axis: h (m), ∇h, and ∇h's turn (1/m)."""
+
+    values: Float[Array, "*things"]
+    normals: Float[Array, "*things 3"]
+    hessians: Float[Array, "*things 3 3"]
+
+    def shifted(self, shift: Vector) -> "Barriers":
+        """Give them beside the point by `shift` (3,) m: tangent planes with the Hessians' turn, all a Jacobian sees."""
+        values = self.values + jnp.sum(self.normals * shift, axis=-1)
+        return self._replace(values=values, normals=self.normals + jnp.sum(self.hessians * shift, axis=-1))
+
+
 class VelocityPoint(eqx.Module):
     """The velocity layer at one position.
 
@@ -196,6 +222,10 @@ class SafeVelocity(eqx.Module):
     `gradient_error` is the paper's e_∇h; None where the barrier's own gradient is exact. `box` is the paper's limit
     on each component, `speed` the limit on the norm; at least one of them. `differentiate` says whether ∂v_s/∂r is
     formed (it needs the field's Hessian).
+
+    With `row_per_zone` the target and each zone of a `ZonedField` have a barrier row each, else the nearest of them
+    has one. A zone's distance is known, so that e_∇h is the target's alone. Barrier and normal of the `VelocityPoint`
+    are those of the nearest all the same, and so is the h that circulation and speed limit go by.
     """
 
     field: Field
@@ -207,6 +237,7 @@ class SafeVelocity(eqx.Module):
     box: Scalar | None = None
     speed: SpeedCone | None = None
     differentiate: bool = eqx.field(static=True, default=True)
+    row_per_zone: bool = eqx.field(static=True, default=False)
 
     def at_time(self, time: Scalar) -> "SafeVelocity":
         """Give the same by the field as it is from a time (s) on."""
@@ -215,23 +246,18 @@ class SafeVelocity(eqx.Module):
 
     def __call__(self, position: Vector, velocity: Vector, memory: Vector) -> tuple[VelocityPoint, Vector]:
         """Return the velocity layer at a position (m) and the circulation's memory for the next step."""
-        if self.differentiate:
-            value, normal, hessian = self.field.value_gradient_hessian(position)
-        else:
-            value, normal = self.field.value_and_gradient(position)
-            hessian = jnp.zeros((3, 3))
-        barrier = value - self.offset
-        desired = self.guidance.desired_velocity(position)
+        nearest, things = self._barriers(position)
+        barrier, normal, desired = nearest.values, nearest.normals, self.guidance.desired_velocity(position)
         if self.circulation is not None:
-            memory = self.circulation.update(memory, barrier, normal, desired, velocity)
+            around = normal if things is None else self.circulation.round(things.values, things.normals)
+            memory = self.circulation.update(memory, barrier, around, desired, velocity)
 
         def safe(shift: Vector) -> tuple[Vector, Int[Array, ""]]:
-            # To first order in the shift the field is its tangent plane with the Hessian's turn: all a Jacobian sees.
             program = self.program(
-                barrier + jnp.sum(normal * shift),
-                normal + jnp.sum(hessian * shift, axis=-1),
+                nearest.shifted(shift),
                 self.guidance.desired_velocity(position + shift) if self.differentiate else desired,
                 memory,
+                None if things is None else things.shifted(shift),
             )
             solution = solve(program, forward=self.differentiate)
             return solution.velocity, solution.status
@@ -248,17 +274,50 @@ class SafeVelocity(eqx.Module):
         jacobian, (answer, status) = jax.jacfwd(with_value, has_aux=True)(shift)
         return VelocityPoint(barrier, normal, desired, _once(answer), _once(jacobian), status), memory
 
-    def program(self, barrier: Scalar, normal: Vector, desired: Vector, memory: Vector) -> VelocityProgram:
-        """Return the cone program at barrier h (m) with gradient ∇f̃ and desired velocity v_c (m/s)."""
-        circulation = None
+    def program(
+        self, nearest: Barriers, desired: Vector, memory: Vector, things: Barriers | None = None
+    ) -> VelocityProgram:
+        """Return the cone program at a barrier with a desired velocity v_c (m/s).
+
+        With `things`, the target before the zones, each of these has a barrier row, else the nearest alone.
+        """
+        circulation, first, half_spaces = None, nearest, None
+        if things is not None:
+            first, zones = (
+                jax.tree.map(lambda all_of, part=part: all_of[part], things) for part in (0, slice(1, None))
+            )
+            half_spaces = HalfSpaces(zones.normals, self.class_k(zones.values))
         if self.circulation is not None:
-            circulation = self.circulation.inequality(memory, barrier, normal)
+            around = nearest.normals if things is None else self.circulation.round(things.values, things.normals)
+            circulation = self.circulation.inequality(memory, nearest.values, around)
         return VelocityProgram(
             desired=desired,
-            normal=normal,
-            barrier_rate=self.class_k(barrier),
+            normal=first.normals,
+            barrier_rate=self.class_k(first.values),
             gradient_error=self.gradient_error,
             circulation=circulation,
             box=self.box,
-            speed=None if self.speed is None else self.speed(barrier),
+            speed=None if self.speed is None else self.speed(nearest.values),
+            half_spaces=half_spaces,
         )
+
+    def _barriers(self, position: Vector) -> tuple[Barriers, Barriers | None]:
+        """Give the nearest barrier at a position (m), and those of target and zones where each has a row."""
+        field, each = self.field, None
+        if self.row_per_zone and isinstance(field, ZonedField):
+            field, each = field.target, field.zone_values
+        if self.differentiate:
+            value, normal, hessian = field.value_gradient_hessian(position)
+        else:
+            value, normal = field.value_and_gradient(position)
+            hessian = jnp.zeros((3, 3))
+        target = Barriers(value - self.offset, normal, hessian)
+        if each is None:
+            return target, None
+        gradients = jax.jacfwd(each)
+        away, normals = each(position), gradients(position)
+        hessians = jax.jacfwd(gradients)(position) if self.differentiate else jnp.zeros((*normals.shape, 3))
+        # A zone that has ended is infinitely far. It becomes a row that never acts.
+        zones = Barriers(jnp.minimum(away - self.offset, _NEVER), normals, hessians)
+        things = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), target, zones)
+        return jax.tree.map(lambda all_of: all_of[jnp.argmin(things.values)], things), things

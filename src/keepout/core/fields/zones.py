@@ -313,6 +313,16 @@ class ZonedField(Field):
         """Give the field as it is from a time (s) on."""
         return dataclasses.replace(self, time=time)
 
+    @property
+    def target(self) -> "ZonedField":
+        """The field without the zones; rooms that are proved clear count."""
+        return dataclasses.replace(self, zones=())
+
+    def zone_values(self, point: Vector) -> Float[Array, "zones"]:
+        """Give each zone's signed distance from a point (m), m: ∞ of one that has ended; −∞ where the point is none."""
+        near = within_numbers(point)
+        return of_places(point, jnp.stack([zone.value(near, self.time) for zone in self.zones]))
+
     def _least(self, point: Vector) -> Scalar:
         """Of all zones, finite wherever the point is; −∞ where the point is none."""
         near = within_numbers(point)

@@ -25,7 +25,7 @@ static double one_for_zero(double size)
     return (size > 0.0) ? size : 1.0;
 }
 
-/* Euclidean norm without overflow. In Python: velocity_program.length. */
+/* Euclidean norm without overflow. In Python: control/unit_program.py, length. */
 static double length_of(const double v[3])
 {
     double largest = 0.0;
