@@ -36,6 +36,7 @@ BUILDS = [
 DEVIATIONS = {
     "2.2": "with one number in the disturbance's model, or no latency, a product is by 1 or a sum with 0",
     "2.4": "an enumeration without a tag is a list of constants",
+    "2.5": "sizes that only a mission with sensors uses",
     "8.7": "fly_mission.c, which is none of the step, measures by the same function",
     "9.3": "none: a structure is copied whole; the tool takes it for an array begun in part",
     "10.6": "none: 0 or 1 of a condition, of the type that it is assigned to",
