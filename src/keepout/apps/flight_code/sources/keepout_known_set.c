@@ -112,7 +112,7 @@ static double size_of(double x)
 
 /* Add what the commands of the last periods did: weights[i] T of each acceleration, the newest last. In Python: the sums of
  * pushes in SetMembership. */
-static void moved_by(const keepout_set_memory *memory, const double weights[KEEPOUT_KEPT], double change[3], double sizes[3])
+static void pushed_since(const keepout_set_memory *memory, const double weights[KEEPOUT_KEPT], double change[3], double sizes[3])
 {
     int32_t i;
     int32_t axis;
@@ -140,7 +140,7 @@ static void velocity_now(const keepout_navigation *navigation, const keepout_set
     for (i = 0; i < KEEPOUT_KEPT; i++) {
         weights[i] = (i >= (KEEPOUT_KEPT - KEEPOUT_LATENCY)) ? navigation->period : 0.0;
     }
-    moved_by(memory, weights, change, sizes);
+    pushed_since(memory, weights, change, sizes);
     for (i = 0; i < 3; i++) {
         centre[i] = told->centre[i] + change[i];
     }
@@ -165,7 +165,7 @@ static void position_now(const keepout_navigation *navigation, const keepout_set
         weights[i] =
             (place >= 0) ? ((navigation->period * navigation->period) * ((double)place + 0.5)) : 0.0;
     }
-    moved_by(memory, weights, change, sizes);
+    pushed_since(memory, weights, change, sizes);
     for (i = 0; i < 3; i++) {
         drift[i] = since * velocity->centre[i];
         centre[i] = (told->centre[i] + drift[i]) - change[i];
@@ -194,7 +194,7 @@ static void velocity_between(const keepout_navigation *navigation, const keepout
         const double age = ((double)i - ((double)KEEPOUT_KEPT - (double)memory->elapsed)) + 0.5;
         weights[i] = ((navigation->period * navigation->period) * keepout_maximum(age, 0.0)) / since;
     }
-    moved_by(memory, weights, change, sizes);
+    pushed_since(memory, weights, change, sizes);
     for (i = 0; i < 3; i++) {
         now[i] = position->centre[i] / since;
         then[i] = before[i] / since;
