@@ -183,15 +183,14 @@ BALL = SphereField(jnp.asarray([3.0, 3.0, 3.0]), jnp.asarray(1.0))
 
 
 def _law(*bounds, **changes):
-    """The paper's law, led into the corner of two walls, with e_∇h of the ball beside them."""
+    """The paper's law, led into the corner of two walls beside a ball."""
     return SafeVelocity(
         field=ZonedField(BALL, _walls(*bounds)),
         offset=jnp.asarray(0.3),
         guidance=StraightGuidance(jnp.asarray([-6.0, -5.0, 0.5]), jnp.asarray(0.1), jnp.asarray(2.0)),
         class_k=ClassK(jnp.asarray(0.08)),
-        circulation=printed_circulation(),
         box=jnp.asarray(0.1),
-        **{"row_per_zone": True, **changes},
+        **{"circulation": printed_circulation(), "row_per_zone": True, **changes},
     )
 
 
@@ -210,7 +209,9 @@ def _along_the_walls(step):
 @pytest.mark.long
 def test_no_velocity_jumps_where_two_zones_are_equally_near():
     places, now = _along_the_walls(1e-3), jnp.asarray(0.0)
-    rows, single = (_flown(_law(FLOOR, WALL, row_per_zone=each), places, now) for each in (True, False))
+    rows, single = (
+        _flown(_law(FLOOR, WALL, row_per_zone=each, circulation=None), places, now) for each in (True, False)
+    )
     steps = [np.linalg.norm(np.diff(point.velocity, axis=0), axis=1).max() for point in (rows, single)]
     assert steps[0] < 1e-3
     assert steps[1] > 0.05
@@ -220,7 +221,8 @@ def test_no_velocity_jumps_where_two_zones_are_equally_near():
             slack = point.velocity[:, axis] + 0.08 * (places[:, axis] - 0.3)
             assert bool(slack.min() > -1e-12) is holds
     np.testing.assert_allclose(rows.barrier, single.barrier, atol=1e-14)
-    np.testing.assert_array_equal(rows.normal, single.normal)
+    apart = np.abs(places[:, 0] - places[:, 1]) > 1e-9
+    np.testing.assert_array_equal(rows.normal[apart], single.normal[apart])
 
 
 @pytest.mark.long

@@ -57,13 +57,6 @@ class CirculationLaw(eqx.Module):
     def matrix(self, memory: Vector) -> Float[Array, "3 3"]:
         """Return Ω."""
 
-    def round(self, barriers: Float[Array, "things"], normals: Float[Array, "things 3"]) -> Vector:
-        """Return the gradient to turn round, of several things' barriers (m) and gradients.
-
-        Each weighs exp(−slope h/level). Of the nearest alone it would jump, and T with it, where two are equally near.
-        """
-        return jnp.sum(jax.nn.softmax(-self.slope / self.level * barriers)[:, None] * normals, axis=0)
-
     def inequality(self, memory: Vector, barrier: Scalar, normal: Vector) -> Circulation:
         """Return the inequality at a point with barrier h (m) and gradient ∇f̃."""
         return Circulation(self.matrix(memory) @ normal, self.level - self.slope * barrier, self.weight)
@@ -225,7 +218,7 @@ class SafeVelocity(eqx.Module):
 
     With `row_per_zone` the target and each zone of a `ZonedField` have a barrier row each, else the nearest of them
     has one. A zone's distance is known, so that e_∇h is the target's alone. Barrier and normal of the `VelocityPoint`
-    are those of the nearest all the same, and so is the h that circulation and speed limit go by.
+    are those of the nearest all the same. So are those of circulation, whose T still jumps where another is nearest.
     """
 
     field: Field
@@ -249,8 +242,7 @@ class SafeVelocity(eqx.Module):
         nearest, things = self._barriers(position)
         barrier, normal, desired = nearest.values, nearest.normals, self.guidance.desired_velocity(position)
         if self.circulation is not None:
-            around = normal if things is None else self.circulation.round(things.values, things.normals)
-            memory = self.circulation.update(memory, barrier, around, desired, velocity)
+            memory = self.circulation.update(memory, barrier, normal, desired, velocity)
 
         def safe(shift: Vector) -> tuple[Vector, Int[Array, ""]]:
             program = self.program(
@@ -288,8 +280,7 @@ class SafeVelocity(eqx.Module):
             )
             half_spaces = HalfSpaces(zones.normals, self.class_k(zones.values))
         if self.circulation is not None:
-            around = nearest.normals if things is None else self.circulation.round(things.values, things.normals)
-            circulation = self.circulation.inequality(memory, nearest.values, around)
+            circulation = self.circulation.inequality(memory, nearest.values, nearest.normals)
         return VelocityProgram(
             desired=desired,
             normal=first.normals,
