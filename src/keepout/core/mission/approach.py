@@ -59,7 +59,8 @@ def require_one_leg(scenario: Scenario, led_by: str, *, zones: bool = False) -> 
     there = [name for name in asked if getattr(scenario, name)]
     there += ["approach.speed_by_distance"] if scenario.approach.speed_by_distance else []
     if there:
-        raise ScenarioError(f"{', '.join(there)}: for fly, campaign and rare; {led_by}. Leave them out")
+        also = ", zones for inspect too" if "zone" in there else ""
+        raise ScenarioError(f"{', '.join(there)}: for fly, campaign and rare{also}; {led_by}. Leave them out")
 
 
 def has_rules(scenario: Scenario) -> bool:
