@@ -103,6 +103,7 @@ camera.greatest_range = 6.0
 guard.enabled = false
 start.position = [0.0, 5.0, 2.0]
 inspect = {{stand_off = 1.2, patch_size = 1.0, coverage = 0.5, candidates = 100, proof_time = 0.5}}
+zone = [{{name = "beam", shape = "sphere", centre = [0.0, 0.0, 12.0], radius = 2.0}}]
 """
 FEW = {"width": 16, "depth": 2, "samples": 4000, "batch": 400, "steps": 250, "tuning_steps": 50, "polish_steps": 50}
 """A fit of seconds; tests/core/proof/test_certificate.py says how good a fit is."""
@@ -501,6 +502,11 @@ def test_inspect_and_its_files_alone_give_the_same_coverage(folder):
     assert written(folder / "inspected") == summary
     check_flown(folder / "inspected" / "look.parquet", summary)
     assert (folder / "inspected" / "unseen.json").exists()
+    [beam] = summary["zones"]
+    away = FlightRecord.load(folder / "inspected" / "look.parquet").position - (0.0, 0.0, 12.0)
+    assert (beam["name"], beam["entered"], summary["zones_entered"]) == ('zone "beam"', "no", "no")
+    least = np.linalg.norm(away, axis=1).min() - 2.0 - RADIUS
+    assert least - 5e-3 <= beam["minimum_clearance_m"] <= least + 1e-9
     again = coverage_of_files(folder / "inspected" / "look.parquet", folder / "inspected" / "frames.parquet")
     assert again.same
     assert again.coverage == pytest.approx(summary["coverage"], abs=1e-12)

@@ -77,7 +77,6 @@ def beside_wall(patches):
     return patches.counted & (patches.unit_normals()[:, 1] < -0.5)
 
 
-@pytest.mark.long
 def test_what_a_zone_hides_is_undecided_and_the_rest_has_witnesses_outside(walled):
     seeable, patches = walled.seeable, walled.patches
     behind = beside_wall(patches)
@@ -88,7 +87,6 @@ def test_what_a_zone_hides_is_undecided_and_the_rest_has_witnesses_outside(walle
     assert seeable.lower == pytest.approx(1.0 - patches.coverage(behind))
 
 
-@pytest.mark.long
 def test_views_and_ways_keep_the_stand_off_from_a_zone(walled, first):
     places = np.array([START, *(view.position for view in first.views)])
     assert from_wall(places).min() >= STAND_OFF
@@ -102,7 +100,6 @@ def test_views_and_ways_keep_the_stand_off_from_a_zone(walled, first):
             assert box_distance(on_way).min() >= STAND_OFF - 1e-9
 
 
-@pytest.mark.long
 def test_an_inspection_enters_no_zone(walled, first):
     mission = scenario(WALL, inspect={"coverage": 0.5}, guard={"enabled": False})
     found = inspect(mission, problem=walled, first=first)

@@ -44,7 +44,10 @@ FORMAT = 2
 _PROBED = 16
 """Runs, from the first on, that settle which numbers vary within a compiled program."""
 _MOST_BATCHES = 4
-"""In a chunk; fewer where there are few batches, so that a kill loses little and every core has a chunk to fly."""
+"""In a chunk; fewer where there are few batches, so that a kill loses little and every core has a chunk to fly.
+
+Two batches or one are one chunk, which flies them side by side and keeps whole logs (`Plan.in_full`).
+"""
 _KEPT = 8
 """Of each kind: meshes, fields and grids take tens of megabytes."""
 LARGE = 4096

@@ -96,7 +96,7 @@ def report_campaign(
     for table in _tables(found, bands):
         table.write(place)
     with ThreadPoolExecutor(1) as aside:  # distances beside the drawing: the one needs kernels, the other Python
-        gathering = aside.submit(lambda: (kept(), _worst(found))[1])
+        gathering = aside.submit(_worst, found, kept)
         campaign_figures.draw_distributions(place / "distributions.png", found)
         campaign_figures.draw_over_time(place / "bands.png", bands)
         if found.influences:
@@ -323,8 +323,9 @@ def _tell_refused(page: Page, found: Results) -> None:
     page.file(page.path.parent / PLACE / "refused.csv")
 
 
-def _worst(found: Results) -> dict[int, Replayed | KeepoutError]:
+def _worst(found: Results, kept: Callable[[], Any]) -> dict[int, Replayed | KeepoutError]:
     """Gather the worst flights that have a flight file, by run: with what is drawn of them, or why that cannot be."""
+    kept()
     workshop = Workshop()
     gathered: dict[int, Replayed | KeepoutError] = {}
     for run in (row["run"] for row in found.worst):
