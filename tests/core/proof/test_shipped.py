@@ -9,7 +9,7 @@ from keepout.core.fields import load_shipped, shipped_folder, shipped_names
 from keepout.core.fields.field import values, values_and_gradients
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
-from keepout.core.proof.certificate import SMALLEST_GAP, certify
+from keepout.core.proof.certificate import SMALLEST_GAP, certify, check_certificate
 
 NAMES = pytest.mark.parametrize("name", shipped_names())
 RADII = pytest.mark.parametrize("radius", CHASER_RADII)
@@ -74,6 +74,7 @@ def test_certificates_hold_at_full_size_and_can_be_proved_again(name, radius):
     worst, bound = attack_field(model, target, radius, 2_000_000, 10_000), model.certificate(radius).error_bound
     print(f"{name}, R = {radius:g} m: largest found {worst:+.5f} m, certified {bound:+.5f} m")
     assert worst <= bound
+    assert check_certificate(model, target, model.certificate(radius)).proved
     again = certify(model, target, chaser_radius=radius).certificate(radius)
     # Each proof ends so near to the largest value found, wherever it split.
     assert again.error_bound == pytest.approx(bound, abs=SMALLEST_GAP)
