@@ -156,26 +156,20 @@ static double noise_of(const keepout_navigation *navigation, int32_t i, int32_t 
     return noise;
 }
 
-/* What is believed a period later of a chaser under a force, N. In Python: KalmanFilter.predicted. */
-static void predict_belief(const keepout_mission *mission, const double force[3], keepout_belief *belief)
+/* P a period later: F P F^T and what a period adds, of the state before it moves. In Python: KalmanFilter.predicted. */
+static void widen_by_motion(const keepout_mission *mission, keepout_belief *belief)
 {
     const keepout_navigation *navigation = mission->navigation;
     double (*P)[KEEPOUT_STATES] = belief->covariance;
     double top[6][9];
-    double push[3];
     int32_t i;
     int32_t j;
     transition(mission->motion, &belief->motion, navigation->period, top);
-    for (i = 0; i < 3; i++) {
-        push[i] = force[i] + mean_of(navigation, belief->disturbance, i);
-    }
     for (i = 0; i < 6; i++) {
         for (j = 6; j < 9; j++) {
             top[i][j] = top[i][j] / navigation->mass;
         }
     }
-    keepout_move(mission->motion, &belief->motion, push, navigation->period, navigation->mass);
-    move_disturbance(navigation, belief->disturbance);
     for (j = 0; j < KEEPOUT_STATES; j++) {
         double column[KEEPOUT_STATES];
         for (i = 0; i < KEEPOUT_STATES; i++) {
@@ -195,6 +189,19 @@ static void predict_belief(const keepout_mission *mission, const double force[3]
             P[j][i] = P[i][j];
         }
     }
+}
+
+/* The state a period later, of a chaser under a force, N. In Python: KalmanFilter.predicted. */
+static void move_belief(const keepout_mission *mission, const double force[3], keepout_belief *belief)
+{
+    const keepout_navigation *navigation = mission->navigation;
+    double push[3];
+    int32_t i;
+    for (i = 0; i < 3; i++) {
+        push[i] = force[i] + mean_of(navigation, belief->disturbance, i);
+    }
+    keepout_move(mission->motion, &belief->motion, push, navigation->period, navigation->mass);
+    move_disturbance(navigation, belief->disturbance);
 }
 
 /* What a sensor would say of a state, and its slopes by position and velocity; how many numbers that is. Of the attitude
@@ -549,8 +556,12 @@ void keepout_navigation_know(const keepout_mission *mission, keepout_navigation_
     int32_t i;
     knowledge->outliers = 0;
     for (i = 0; i <= KEEPOUT_LATENCY; i++) {
-        if (memory->steps > (KEEPOUT_LATENCY - i)) {
-            predict_belief(mission, memory->forces[i], &belief);
+        const bool moved = memory->steps > (KEEPOUT_LATENCY - i);
+        if (moved && (i == 0)) {
+            widen_by_motion(mission, &belief); /* later on nobody asks for P: no sample is taken there */
+        }
+        if (moved) {
+            move_belief(mission, memory->forces[i], &belief);
         }
         if (i == 0) {
             if (memory->steps >= KEEPOUT_LATENCY) {
