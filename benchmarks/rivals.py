@@ -49,7 +49,9 @@ def sweep(arguments):
             tried = dataclasses.replace(rival, **setting)
             plan = planned(case, tried, False, rival.swept) | {"setting": setting, "chosen": tried == rival}
             with terminal.progress(f"{rival.name}, {setting}") as progress:
-                rows.append(store.made(plan, functools.partial(flown_row, case, tried, plan, progress)))
+                row = store.made(plan, functools.partial(flown_row, case, tried, plan, progress))
+            rows.append(row | {"chosen": plan["chosen"]})
+            store.keep(rows[-1])
     return rows
 
 

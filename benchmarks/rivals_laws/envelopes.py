@@ -5,7 +5,7 @@ section I). Each envelope encloses every vertex, and is a field in closed form u
 its gains and straight guidance: what differs from Keepout is the shape and the way to the goal, nothing else. The
 field's error bound is zero, as the envelope holds the whole target. Its radius, margin and nominal offset are the
 default law's. A start or goal in the envelope is refused: it holds every concave place. The slope of α at the
-envelope is the default law's too: `choices` show that it decides neither contacts nor arrivals.
+envelope, half the default law's, is the best of `choices`: it decides neither contacts nor arrivals, only the time.
 """
 
 import dataclasses
@@ -84,7 +84,7 @@ class Envelope(Rival):
 
     choices: ClassVar[dict[str, tuple[float, ...]]] = {"rate": (0.04, 0.08, 0.16)}
     build: ClassVar[Callable[[np.ndarray], Field]]
-    rate: float = 0.08
+    rate: float = 0.04
 
     def law(self, case: RivalCase, start: Point, goal: Point) -> Controller:
         """Lead the law to its goal."""

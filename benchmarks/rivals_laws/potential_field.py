@@ -8,7 +8,8 @@ with the square of the distance to the goal, as Ge & Cui 2000 mend it.
 
 Tuning. k_v = 0.5/s is the default law's tracking gain, and k_p/k_v = v_max/(1.5 m) its slowing length. η makes the
 repulsion equal to the authority at `stand_off`; from v_max the chaser stops in v_max²/(2·4 mm/s²) = 1.25 m at full
-authority. `stand_off` and ρ₀ (`influence`), which Khatib leaves to the designer, are the best of `choices`.
+authority. `stand_off` and ρ₀ (`influence`), which Khatib leaves to the designer, are the best of `choices`: nearer ones
+are as good round `intelsat30` and a little sooner, but touch the pocket and the ISS.
 """
 
 import dataclasses
