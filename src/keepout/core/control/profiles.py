@@ -18,7 +18,14 @@ from keepout.core.compiled.tried import THREE_NUMBERS, Asked, described, is_own
 from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.controller import Controller, Tracking
 from keepout.core.control.geodesic import Geodesic
-from keepout.core.control.guidance import Componentwise, ComponentwiseGuidance, Guidance, GuidancePlan, Point
+from keepout.core.control.guidance import (
+    Componentwise,
+    ComponentwiseGuidance,
+    Guidance,
+    GuidancePlan,
+    Point,
+    Travel,
+)
 from keepout.core.control.law import Condition
 from keepout.core.control.observer import (
     ContinuousObserver,
@@ -288,17 +295,15 @@ def _point(name: str, value: Any) -> Point:
     return array
 
 
-def _leader(
-    guidance: Guidance | GuidancePlan, field: Field, offset: float, goal: Point, start: Point | None, **led: Any
-) -> Guidance:
-    """Make a plan's guidance, `led` as `GuidancePlan.guidance` is; it must lead to the goal, with a velocity there."""
+def _leader(guidance: Guidance | GuidancePlan, field: Field, offset: float, goal: Point, travel: Travel) -> Guidance:
+    """Make a plan's guidance; it must lead to the goal, with a velocity there."""
     # Before a grid is built, which takes seconds.
     if not (isinstance(guidance, GuidancePlan) and guidance.refuses):
         require_free(field, offset, goal, "goal")
-    if start is not None:
-        require_free(field, offset, start, "start")
+    if travel.start is not None:
+        require_free(field, offset, travel.start, "start")
     if isinstance(guidance, GuidancePlan):
-        guidance = guidance.guidance(field, offset, goal, start=start, **led)
+        guidance = guidance.guidance(field, offset, goal, travel)
     if not isinstance(guidance, Guidance):
         raise ControlError(f"guidance: {described(guidance)}; it must be a keepout.Guidance or a keepout.GuidancePlan")
     if is_own(guidance):
@@ -356,11 +361,11 @@ def default(
     tuning = _with_gains(tune(operation, drift_bound=drift), gains)
     offset = operation.keep_out + tuning.nominal_offset
     plan = Geodesic() if guidance is None else guidance
-    led = {"speed": chaser.speed_limit, "slowing_length": tuning.slowing_length, "progress": progress}
+    travel = Travel(chaser.speed_limit, tuning.slowing_length, start, progress)
     law = SafeVelocity(
         field=field,
         offset=as_float64(offset),
-        guidance=_leader(plan, field, offset, goal, start, **led),
+        guidance=_leader(plan, field, offset, goal, travel),
         class_k=ClassK(as_float64(tuning.class_k_rate), as_float64(tuning.braking)),
         circulation=None if isinstance(circulation, NoCirculation) else circulation,
         speed=SpeedCone(*map(as_float64, (chaser.speed_limit, tuning.authority, tuning.speed_reserve))),
@@ -435,12 +440,12 @@ def paper(
     chaser, goal = operation.chaser, _point("goal", goal)
     start = None if start is None else _point("start", start)
     plan = Componentwise() if guidance is None else guidance
-    led = {"speed": chaser.speed_limit, "slowing_length": slowing_length, "progress": progress}
+    travel = Travel(chaser.speed_limit, slowing_length, start, progress)
     turning = printed_circulation() if circulation is None else circulation
     law = SafeVelocity(
         field=field,
         offset=as_float64(operation.keep_out),
-        guidance=_leader(plan, field, operation.keep_out, goal, start, **led),
+        guidance=_leader(plan, field, operation.keep_out, goal, travel),
         class_k=ClassK(as_float64(0.08)),
         circulation=None if isinstance(turning, NoCirculation) else turning,
         # Without e_∇h the barrier row is a half-space, and the program a quadratic one.
