@@ -19,14 +19,7 @@ from keepout.core.compiled.tried import THREE_NUMBERS, Asked, described, is_own
 from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.controller import Controller, Tracking
 from keepout.core.control.geodesic import Geodesic
-from keepout.core.control.guidance import (
-    Componentwise,
-    ComponentwiseGuidance,
-    Guidance,
-    GuidancePlan,
-    Point,
-    Travel,
-)
+from keepout.core.control.guidance import Componentwise, ComponentwiseGuidance, Guidance, GuidancePlan, Point, Travel
 from keepout.core.control.law import Condition
 from keepout.core.control.observer import (
     ContinuousObserver,

@@ -5,7 +5,6 @@ clear of the mesh is proved so here.
 """
 
 import functools
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from keepout.core.fields.field import PIECE, Field, in_pieces
 from keepout.core.fields.zones import ClearRoom, SweptCone, Zone, ZonedField
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.hulls import Hulls, hulls_of
+from keepout.core.geometry.octree import CORNERS, SQRT3
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.task_entries import SHAPES, CorridorEntry, LegEntry, ZoneEntry
@@ -96,15 +96,10 @@ def mesh_of(zone: ZoneEntry, name: str) -> Hulls:
     return found
 
 
-def go_time(scenario: Scenario) -> float:
-    """Give the time, s, until which what stands until "go" stands: of the first such leg."""
-    return next((leg.go_at for leg in scenario.leg if leg.go_at is not None), math.inf)
-
-
 def ends(scenario: Scenario, zone: ZoneEntry) -> float:
-    """Give the time, s, at which a zone ends; infinite where it does not."""
+    """Give the time, s, at which a zone ends; infinite where it does not. "go" is that of the first such leg."""
     if zone.until == "go":
-        return go_time(scenario)
+        return next((leg.go_at for leg in scenario.leg if leg.go_at is not None), math.inf)
     return math.inf if zone.until is None else zone.until
 
 
@@ -389,9 +384,8 @@ def require_clear(beside: shapes.Beside, clear_from: float, distance: Distance, 
     """
     depth = jax.jit(jax.vmap(lambda point: beside.depth(point, as_float64(clear_from))))
     half, centres = float(beside.length), np.asarray(beside.port)[None]
-    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     while len(centres):
-        reach, room = math.sqrt(3.0) * half, in_pieces(depth, centres)
+        reach, room = SQRT3 * half, in_pieces(depth, centres)
         centres, room = centres[room > -reach], room[room > -reach]
         away = distance.distance(centres)
         near = away - reach <= needed
@@ -409,5 +403,5 @@ def require_clear(beside: shapes.Beside, clear_from: float, distance: Distance, 
                 f"{name}: clear_from {clear_from:g} m: whether the mesh is {needed:g} m away is open in more than "
                 f"{_MOST_CUBES} cubes of {2000.0 * half:.0f} mm; begin farther out, or make the corridor narrower"
             )
-        centres = (centres[near][:, None] + 0.5 * half * corners).reshape(-1, 3)
+        centres = (centres[near][:, None] + 0.5 * half * CORNERS).reshape(-1, 3)
         half *= 0.5
