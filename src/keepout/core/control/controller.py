@@ -30,8 +30,8 @@ def safety_gain(a: Scalar, b: Scalar, sharpness: Scalar) -> Scalar:
 class TrackingPoint(eqx.Module):
     """The tracking layer at one state.
 
-    `control` u (N) before the disturbance is compensated, `backstepping_barrier` h₁ (m) and `lyapunov` V₁ (m²), both with
-    the unknown estimation error e_d taken as zero.
+    `control` u (N) before the disturbance is compensated; `backstepping_barrier` h₁ (m) and `lyapunov` V₁ (m²), both
+    with the unknown estimation error e_d taken as zero.
     """
 
     control: Vector

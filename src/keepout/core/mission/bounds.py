@@ -21,7 +21,6 @@ from keepout.core.mission.entries import DragEntry, OrbitEntry
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion import orbit as orbits
-from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
 _OUTWARD = 1.0 + 1e-6
@@ -296,10 +295,4 @@ def _turned(
 
 @eqx.filter_jit
 def _rates(motion: RelativeMotion, start: MotionState, period: jax.Array, steps: int) -> jax.Array:
-    def advance(state: MotionState, _: None) -> tuple[MotionState, jax.Array]:
-        # The chaser is put back beside the target: its own way is nobody's concern here.
-        after = motion.step(state, jnp.zeros(3), NoDisturbance(), period, 1.0)
-        after = eqx.tree_at(lambda s: (s.position, s.velocity), after, (start.position, start.velocity))
-        return after, jnp.linalg.norm(state.angular_velocity)
-
-    return jax.lax.scan(advance, start, length=steps + 1)[1]
+    return motion.of_target(lambda state: jnp.linalg.norm(state.angular_velocity), start, period, steps)

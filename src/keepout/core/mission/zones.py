@@ -32,7 +32,6 @@ from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.task_entries import SHAPES, CorridorEntry, LegEntry, ZoneEntry
 from keepout.core.motion import rotation
 from keepout.core.motion.arrays import Scalar, as_float64
-from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
 Points = Float[np.ndarray, "points 3"]
@@ -143,7 +142,7 @@ def turning(around: Surroundings, zone: ZoneEntry) -> Turning:
             f"zone: axes {zone.axes!r} turn by {math.degrees(angle):.0f} degrees against the body while it stands; "
             f"at most {math.degrees(0.4 * _MOST_MOMENTS):.0f} are followed. Give it start and until"
         )
-    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps + 1))
+    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps))
     stands = [*range(first, max(last, first + 1), each)]
     middles = [min(step + each // 2, scenario.steps) for step in stands]
     until = [(step + each) * period for step in stands[:-1]] + [end]
@@ -151,8 +150,8 @@ def turning(around: Surroundings, zone: ZoneEntry) -> Turning:
 
 
 @eqx.filter_jit
-def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> Float[Array, "steps 3 3"]:
-    """Give the axes ← body rotations at every control step, by the flight's own model of the target's turning."""
+def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> Float[Array, "moments 3 3"]:
+    """Give the axes ← body rotations at the start and after each step, by the flight's own model of the target."""
 
     def here(state: MotionState) -> Float[Array, "3 3"]:
         vvlh_from_body = rotation.matrix(state.attitude).T
@@ -162,13 +161,7 @@ def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> 
         moved = motion.orbit.inertial_state(state.time) if orbit is None else (orbit[:3], orbit[3:])
         return rotation.vvlh_axes(*moved).T @ vvlh_from_body
 
-    def step(state: MotionState, _: None) -> tuple[MotionState, Float[Array, "3 3"]]:
-        # Only what turns is followed; the chaser stays where it is.
-        after = motion.step(state, jnp.zeros(3), NoDisturbance(), period, 1.0)
-        held = eqx.tree_at(lambda s: (s.position, s.velocity), after, (state.position, state.velocity))
-        return held, here(state)
-
-    return jax.lax.scan(step, motion.initial_state(jnp.zeros(3), jnp.zeros(3)), length=steps)[1]
+    return motion.of_target(here, motion.initial_state(jnp.zeros(3), jnp.zeros(3)), period, steps)
 
 
 def zone_shape(zone: ZoneEntry) -> shapes.Shape:
@@ -214,7 +207,7 @@ def zones_judged(around: Surroundings) -> list[Region]:
         rotations = np.eye(3)[None]
         if entry.axes != "body":
             rotations = np.asarray(
-                _followed(around.motion, entry.axes, as_float64(scenario.control.period), scenario.steps + 1)
+                _followed(around.motion, entry.axes, as_float64(scenario.control.period), scenario.steps)
             )
         if entry.file is None:
             distance = getattr(judged, entry.shape)(**_parts(entry))
@@ -326,7 +319,7 @@ def _swept(around: Surroundings, zone: ZoneEntry, shift: float) -> SweptCone | N
     if zone.shape != "cone" or any(zone.centre or ()) or not around.turning_rate(zone.axes):
         return None
     period, last = scenario.control.period, ends(scenario, zone)
-    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps + 1))
+    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps))
     axes = np.einsum("kij,i->kj", rotations, unit(zone.axis or ()))
     about = np.array([0.0, 1.0 if zone.axes == "inertial" else -1.0, 0.0])
     level = axes @ about
