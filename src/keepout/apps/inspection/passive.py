@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from keepout.apps.inspection.zones import Nearest, with_zones
 from keepout.core.audit.tube import Tube, lengths
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.errors import InspectionError
@@ -26,7 +27,6 @@ from keepout.core.geometry.distance import Points
 from keepout.core.mission.bounds import perturbations
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.core.mission.zones import Nearest, with_zones
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 from keepout.core.motion.relative import MotionState, RelativeMotion

@@ -21,6 +21,7 @@ from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, seeable
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.inspection.ways import MOST_NODES, Ways
+from keepout.apps.inspection.zones import mesh_and_zones
 from keepout.apps.led.camera import Boresight
 from keepout.core.control.profiles import least_offset
 from keepout.core.errors import InspectionError
@@ -30,7 +31,6 @@ from keepout.core.mission.approach import require_one_leg, require_outside_zones
 from keepout.core.mission.law import room_for_guard
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.core.mission.zones import mesh_and_zones
 from keepout.core.progress import Progress, part_of, silent
 
 _PATCH, _LARGE_PATCH = 0.25, 1.0

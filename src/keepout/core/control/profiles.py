@@ -400,7 +400,7 @@ def default(
     )
     if observer is None:
         observer = harmonic_observer(mass=chaser.mass, period=operation.period)
-    made = _composed(law, tracking, observer, operation, nominal_offset=tuning.nominal_offset, start=start)
+    made = _composed(law, tracking, observer, operation, tuning.nominal_offset, start)
     broken = [c for c in made.checked if c.required and not c.satisfied]
     if broken:
         raise ControlError("default law: " + "; ".join(str(c) for c in broken))
@@ -481,7 +481,7 @@ def paper(
     )
     if observer is None:
         observer = printed_observer(mass=chaser.mass, period=operation.period)
-    made = _composed(law, tracking, observer, operation, nominal_offset=0.0, start=start)
+    made = _composed(law, tracking, observer, operation, 0.0, start)
     broken = "; ".join(str(c) for c in made.checked if not c.satisfied)
     if broken:
         said = f"paper law: it flies although its theory's conditions do not all hold: {broken}"
@@ -490,15 +490,9 @@ def paper(
 
 
 def _composed(
-    law: SafeVelocity,
-    tracking: Tracking,
-    observer: Observer,
-    operation: Operation,
-    *,
-    nominal_offset: float,
-    start: Point | None,
+    law: SafeVelocity, tracking: Tracking, observer: Observer, operation: Operation, offset: float, start: Point | None
 ) -> Controller:
-    """Put a law together, and check its conditions."""
+    """Put a law together that keeps an `offset` (m) beyond the keep-out zone, and check its conditions."""
     made = Controller(
         velocity=law,
         tracking=tracking,
@@ -506,6 +500,6 @@ def _composed(
         motion=operation.motion,
         mass=as_float64(operation.chaser.mass),
         force_limit=as_float64(np.full(3, operation.chaser.force_limit)),
-        nominal_offset=as_float64(nominal_offset),
+        nominal_offset=as_float64(offset),
     )
     return replace(made, checked=conditions(made, operation, start=start))
