@@ -281,8 +281,7 @@ def _require_whole_patches(scenario: Scenario, target: Target) -> None:
     angle γ is least for sin φ = q, above it for sin φ = 1.
     """
     rules, size = rules_of(scenario), patch_size(scenario, target)
-    edges = np.diff(target.vertices[target.faces], axis=1)
-    area = 0.5 * float(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum())
+    area = target.distance.area
     if area > MOST_PATCHES * size * size:
         raise InspectionError(
             f"inspect.patch_size: {size:g} m; {area:.4g} m2 would be cut into {area / size / size:.2g} patches or "

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.errors import ScenarioError
 from keepout.core.motion import rotation
-from keepout.core.motion.arrays import NumbersLike, Scalar, Vector, as_float64
+from keepout.core.motion.arrays import NumbersLike, Scalar, T, Vector, as_float64
 from keepout.core.motion.attitude import AttitudeMotion, VVLHFixed
 from keepout.core.motion.chaser import Departure, Pulses
 from keepout.core.motion.disturbance import Disturbance, NoDisturbance
@@ -147,15 +147,13 @@ class RelativeMotion(eqx.Module):
         position, velocity, _ = departure.at(jnp.asarray(duration, jnp.float64))
         return end.moved(position, velocity)
 
-    def of_target(
-        self, look: Callable[[MotionState], Array], start: MotionState, period: float | Scalar, steps: int
-    ) -> Array:
+    def of_target(self, look: Callable[[MotionState], T], start: MotionState, period: float | Scalar, steps: int) -> T:
         """Give what `look` sees of a state's target at the start and after each of some steps of `period` s.
 
         The chaser is put back to where it was: its own way is nobody's concern here.
         """
 
-        def advance(state: MotionState, _: None) -> tuple[MotionState, Array]:
+        def advance(state: MotionState, _: None) -> tuple[MotionState, T]:
             after = self.step(state, jnp.zeros(3), NoDisturbance(), period, 1.0)
             held = eqx.tree_at(lambda s: (s.position, s.velocity), after, (state.position, state.velocity))
             return held, look(state)
