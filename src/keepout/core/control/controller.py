@@ -30,10 +30,11 @@ def safety_gain(a: Scalar, b: Scalar, sharpness: Scalar) -> Scalar:
 class TrackingPoint(eqx.Module):
     """The tracking layer at one state.
 
-    `control` u (N) before the disturbance is compensated; `backstepping_barrier` h₁ (m) and `lyapunov` V₁ (m²), both
-    with the unknown estimation error e_d taken as zero.
+    `reference` u_ref and `control` u in N (both before the disturbance is compensated), `backstepping_barrier` h₁ in
+    m and `lyapunov` V₁ in m², both with the unknown estimation error e_d taken as zero.
     """
 
+    reference: Vector
     control: Vector
     backstepping_barrier: Scalar
     lyapunov: Scalar
@@ -87,7 +88,7 @@ class Tracking(eqx.Module):
         )
         control = reference + safety_gain(a, b, self.sharpness) * gradient
         lyapunov = 0.5 * jnp.sum(position_error * pull) + square / (2.0 * self.lyapunov_ratio)
-        return TrackingPoint(control, barrier, lyapunov)
+        return TrackingPoint(reference, control, barrier, lyapunov)
 
 
 class ControllerState(eqx.Module):
