@@ -157,8 +157,9 @@ def flown(plan, runs, steps, *, audit):
     """Fly the first runs of a plan; seconds by the clock and of processor time."""
     import jax
 
+    from keepout.core.audit.audit import AUDITED
     from keepout.core.flight.batches import BATCH, Batching, fly_batches
-    from keepout.core.mission.flight import AUDITED, judge
+    from keepout.core.mission.flight import judge
     from keepout.core.mission.surroundings import Surroundings
 
     scenario, verdicts = plan.mission.scenario, []

@@ -29,7 +29,7 @@ from keepout.core.fields import neural
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField
 from keepout.core.fields.own import SphereField
-from keepout.core.flight import FlightSetup
+from keepout.core.flight.setup import FlightSetup
 from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import Orbit

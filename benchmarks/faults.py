@@ -29,14 +29,14 @@ import numpy as np
 from faults_world import FORCE, MARGIN, MESHES, World, disturbances, look_up
 from kept_rows import Rows, command
 
-from keepout.core.audit.audit import Contact
+from keepout.core.audit.audit import AUDITED, Contact
 from keepout.core.control.law import Command, Law
 from keepout.core.flight import faults as broken
 from keepout.core.flight.batches import Batching, fly_batches, states_at
 from keepout.core.flight.setup import NoFaults
 from keepout.core.guard.field import RECIPE
 from keepout.core.guard.safety_layer import GuardFlag
-from keepout.core.mission.flight import AUDITED, fly_audited, judge
+from keepout.core.mission.flight import fly_audited, judge
 from keepout.flights.pages import terminal
 
 TARGETS = ("intelsat30", "iss", "tiangong", "ssl1300.glb")

@@ -23,13 +23,15 @@ import numpy as np
 from fields import sgemm_rate
 from kept_rows import on_one_line
 
+from keepout.core.fields.field import values
 from keepout.core.fields.grid_build import build_grid
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
+from keepout.core.geometry.level_set import level_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning.training import HARD_SHARE, fit
-from keepout.core.measures.quality import curvature, distance_errors, margin_cost, over_statement
+from keepout.core.measures.quality import curvature, distance_errors, margin_cost
 from keepout.core.proof.certificate import certify
 from keepout.core.proof.grid import certify_grid
 from keepout.core.whole_file import write_whole
@@ -175,7 +177,8 @@ def seed_row(
     solid = OffsetSolid.build(target.distance)
     certificate = model.certificate(radius)
     bound, seconds = certificate.error_bound, model.training["seconds"]
-    over = over_statement(model.field, solid, level=radius)
+    points = level_points(target.distance, radius, 40_000, np.random.default_rng(0), uniform=True)
+    over = values(model.field, points[solid.is_exterior(points)][:20_000]) - radius
     measured = sgemm is not None and model.training["device"] == "cpu"  # else the processor's rate says nothing
     near = distance_errors(model.field, solid, nearest=0.05, farthest=1.0)
     return {

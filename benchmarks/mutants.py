@@ -50,10 +50,10 @@ MUTANTS = {
         ("left out for ever", "~lost & ~state.left_out", "~lost", "guard:explains"),
         ("safe from one state only", "moved = away + faster", "moved = faster", "mutants_found"),
         ("start by its place alone", "longer * a.velocity_error + joints", "joints", "start"),
+        ("flies on when expired", "estimate.time > a.", "estimate.time > 60.0 + a.", "guard:out_of_date"),
     ],
     "core/guard/watch.py": [
         ("window a step too wide", "T * (place + 1) + turned", "T * (place + 2) + turned", "watch"),
-        ("flies on when expired", "return time >", "return time > 60.0 +", "guard:out_of_date"),
         ("region by range alone", "return far |", "return far &", "guard:flags"),
     ],
     "core/guard/observer.py": [

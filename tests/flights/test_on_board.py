@@ -19,7 +19,8 @@ from keepout.core.errors import ControlError
 from keepout.core.fields.grid import GridField
 from keepout.core.fields.neural import NeuralField
 from keepout.core.fields.own import SphereField
-from keepout.core.flight import FlightSetup, loop
+from keepout.core.flight import loop
+from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from keepout.core.control.law import Command, Law
-from keepout.core.flight import Faults, FlightSetup
+from keepout.core.flight.setup import Faults, FlightSetup
 from keepout.core.guard.safety_layer import SafetyLayer
 from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.disturbance import paper_disturbance

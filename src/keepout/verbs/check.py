@@ -312,15 +312,8 @@ def check(
         found.append(Refusal(str(refused), tuple(remedies(scenario, target))))
     progress(0.25, "places")
     touching, room = _touching(scenario, target), room_to_start(scenario)
-    try:
-        if model is None:
-            require_files(scenario)
-            model = load_model(scenario, target)
-        model.require_target(target, where="field")
-        model.certificate(scenario.chaser.radius)
-    except KeepoutError as refusal:
-        found.append(Refusal(str(refusal), _certified_radius(scenario, model)))
-        model = None
+    model, refused_field = _field(scenario, target, model)
+    found += refused_field
     for name, said in touching.items():
         if found or model is None:  # what a field says of the place is not known
             near = _place(scenario, target, name, lambda points: target.distance.distance(points) > room)
@@ -361,6 +354,19 @@ def _campaign(scenario: Scenario) -> tuple[Design | None, list[Refusal]]:
         return campaign_design(scenario), []
     except ScenarioError as refusal:
         return None, [Refusal(str(refusal))]
+
+
+def _field(scenario: Scenario, target: Target, model: FieldModel | None) -> tuple[FieldModel | None, list[Refusal]]:
+    """Give the field that the scenario is flown by, or say why it cannot be."""
+    try:
+        if model is None:
+            require_files(scenario)
+            model = load_model(scenario, target)
+        model.require_target(target, where="field")
+        model.certificate(scenario.chaser.radius)
+    except KeepoutError as refusal:
+        return None, [Refusal(str(refusal), _certified_radius(scenario, model))]
+    return model, []
 
 
 def _prepared(scenario: Scenario, target: Target, model: FieldModel, progress: Progress = silent) -> Mission:

@@ -13,11 +13,12 @@ from keepout.apps.inspection.inspection import shares
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem, require_inspectable, require_something_to_see
 from keepout.apps.inspection.seeing.seeable import Verdict
+from keepout.apps.inspection.zones import mesh_and_zones
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import InspectionError, ScenarioError
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.core.mission.zones import mesh_and_zones, zones_judged
+from keepout.core.mission.zones import zones_judged
 from keepout.flights.requirements import judged
 
 pytestmark = pytest.mark.long

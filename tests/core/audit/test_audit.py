@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from truths.audited import BOUNDS, MASS, Mesh, judged, straight
 
-from keepout.core.audit.audit import Contact, audit_campaign, proved_outside
+from keepout.core.audit.audit import Contact, Limits, audit_campaign, proved_outside
 from keepout.core.audit.tube import FlightBounds, Tube, nearest
 from keepout.core.errors import FlightError
 
@@ -182,16 +182,8 @@ def test_campaign_equals_single_audits_and_asks_few_distances():
         flown(rng, 300, start=[-4.0, y, 1.4], velocity=[0.02, 0, 0], thrust=0.02, fine=1)[0] for y in (-0.5, 0, 0.7)
     ]
     mesh = Mesh(1.0)
-    together = audit_campaign(
-        records[0].time,
-        *(np.stack([getattr(r, n) for r in records]) for n in ("position", "velocity", "force")),
-        mesh,
-        chaser_radius=0.1,
-        bounds=BOUNDS,
-        force_limit=0.1,
-        speed_limit=0.2,
-        consistency=1e-3,
-    )
+    log = {name: np.stack([getattr(r, name) for r in records]) for name in ("time", "position", "velocity", "force")}
+    together = audit_campaign(log, mesh, Limits(0.1, 0.1, 0.2), BOUNDS, consistency=1e-3)
     assert mesh.queries < 0.7 * 300 * len(records)
     for record, found in zip(records, together):
         alone = judged(record, mesh, radius=0.1, consistency=1e-3)

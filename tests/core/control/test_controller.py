@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths.box_unions import box_union
 from truths.operations import operation
 
 from keepout.core.control import profiles
@@ -18,7 +19,6 @@ from keepout.core.control.observer import constant_observer
 from keepout.core.control.profiles import conditions, tune
 from keepout.core.control.velocity import SpeedCone
 from keepout.core.errors import ControlError
-from keepout.core.fields.own import BoxUnionField
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.disturbance import paper_disturbance, steady
@@ -29,7 +29,7 @@ CORNERS = (
     jnp.asarray([[-1.5, -1.5, -1.5], [-0.2, -8.0, -1.2], [-0.2, 1.5, -1.2]]),
     jnp.asarray([[1.5, 1.5, 1.5], [0.2, -1.5, 1.2], [0.2, 8.0, 1.2]]),
 )
-PANELS = BoxUnionField(*CORNERS, jnp.asarray(0.02))
+PANELS = box_union(*CORNERS, jnp.asarray(0.02))
 MOTION = RelativeMotion(Orbit(6_778_137.0))
 PUSH = paper_disturbance()
 CASE = operation(motion=MOTION, disturbance_bound=PUSH.bound)

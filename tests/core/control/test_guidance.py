@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 from scipy.interpolate import BSpline
+from truths.box_unions import box_union
 
 from keepout.core.control.barrier_grid import BarrierGrid, _refined, downhill, travel_time
 from keepout.core.control.geodesic import GeodesicGuidance, geodesic_guidance, packed
 from keepout.core.control.guidance import ComponentwiseGuidance, StraightGuidance
 from keepout.core.control.velocity import SwitchingCirculation, skew
 from keepout.core.errors import ControlError
-from keepout.core.fields.own import BoxUnionField, SphereField
+from keepout.core.fields.own import SphereField
 
 SPHERE = SphereField(jnp.zeros(3), jnp.asarray(2.0))
 
@@ -79,7 +80,7 @@ def union(lower, upper):
     """Boxes, of which there are four or more for all fields to share their programs."""
     rows = np.resize(np.arange(len(lower)), max(len(lower), 4))
     corners = (jnp.asarray(np.array(side, float)[rows]) for side in (lower, upper))
-    return BoxUnionField(*corners, jnp.asarray(0.005))
+    return box_union(*corners, jnp.asarray(0.005))
 
 
 def slid(field, offset, guidance, start, steps):

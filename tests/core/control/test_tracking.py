@@ -25,7 +25,7 @@ def law():
         offset=jnp.asarray(0.3),
         guidance=StraightGuidance(jnp.asarray([0.0, -6.0, 0.0]), jnp.asarray(0.1), jnp.asarray(2.0)),
         class_k=ClassK(jnp.asarray(0.08), jnp.asarray(0.002)),
-        speed=SpeedCone(jnp.asarray(0.1), None, jnp.asarray(0.1)),
+        speed=SpeedCone(*map(jnp.asarray, (0.1, 1e9, 0.1))),
     )
 
 

@@ -4,11 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from truths import small_box
+from truths.box_unions import box_union
 from truths.growing_maps import Cubes
 from truths.networks import random_field
 
 from keepout.core.fields.field import values, values_and_gradients, values_gradients_hessians
-from keepout.core.fields.own import BoxUnionField, FunctionField, SphereField
+from keepout.core.fields.own import FunctionField, SphereField
 
 DIRECTIONS = np.random.default_rng(0).normal(size=(40, 3))
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
@@ -21,7 +22,7 @@ FIELDS = {
     "neural": lambda: random_field(0),
     "map": lambda: Cubes((0.1, -0.2, 0.3), 0.8).field(Cubes((0.1, -0.2, 0.3), 0.8).solid),
     "sphere": lambda: SphereField(jnp.array([0.5, 0.0, 0.0]), jnp.asarray(1.0)),
-    "boxes": lambda: BoxUnionField(*BOXES, jnp.asarray(0.02)),
+    "boxes": lambda: box_union(*BOXES, jnp.asarray(0.02)),
     "own": lambda: FunctionField(lambda p: jnp.sqrt(p @ p + 1.0) - 2.0, 1.0, "stated"),
 }
 

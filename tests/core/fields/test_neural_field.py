@@ -5,11 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths.box_unions import box_union
 from truths.networks import numbers, random_field
 
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.field import values, values_and_gradients, values_gradients_hessians
-from keepout.core.fields.own import BoxUnionField, SphereField
+from keepout.core.fields.own import SphereField
 
 
 @pytest.mark.long
@@ -79,7 +80,7 @@ def test_sphere_is_exact_and_box_union_never_overstates():
     np.testing.assert_allclose(hessian, across / radius[..., None], atol=1e-9)
 
     lower, upper = np.array([[-1.0, -1, -1], [1.0, -0.2, -0.2]]), np.array([[1.0, 1, 1], [3.0, 0.2, 0.2]])
-    boxes = BoxUnionField(jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(0.02))
+    boxes = box_union(jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(0.02))
     points[0] = [0.0, 0.0, 2.0]  # beside a face
     outside = np.maximum(np.maximum(lower - points[:, None], points[:, None] - upper), 0.0)
     exact = np.linalg.norm(outside, axis=-1).min(axis=1)

@@ -8,10 +8,9 @@ import pytest
 from truths.flights import KEY, STEPS, make_setup, start_state
 
 from keepout.core.errors import ScenarioError
-from keepout.core.flight import FlightOutcome, fly, outcome
 from keepout.core.flight.batches import TARGET, Batching, alike_among, flight_key, fly_batches, states_at
 from keepout.core.flight.faults import WrongEstimate
-from keepout.core.flight.loop import start, step
+from keepout.core.flight.loop import FlightOutcome, fly, outcome, start, step
 from keepout.core.flight.record import FlightRecord
 from keepout.core.motion.attitude import Tumbling
 from keepout.core.motion.disturbance import ConstantDisturbance

@@ -10,8 +10,7 @@ import pytest
 from truths.flights import GOAL, KEY, STEPS, Delayed, Halving, Spring, make_setup, start_state
 
 from keepout.core.errors import FlightError, ScenarioError
-from keepout.core.flight import fly, outcome
-from keepout.core.flight.loop import begin, fly_segment, joined
+from keepout.core.flight.loop import begin, fly, fly_segment, joined, outcome
 from keepout.core.motion.chaser import Thrusters
 
 LIMIT = np.array([0.1, 0.05, 0.1])

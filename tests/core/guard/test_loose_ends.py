@@ -17,9 +17,9 @@ from keepout.core.control.guidance import Straight
 from keepout.core.control.law import AheadOfDelay
 from keepout.core.errors import ControlError, KeepoutError
 from keepout.core.fields.own import SphereField
-from keepout.core.flight import FlightSetup
-from keepout.core.flight import fly as fly_setup
 from keepout.core.flight.faults import DelayedCommands
+from keepout.core.flight.loop import fly as fly_setup
+from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import cache_folder, guard_field
 from keepout.core.guard.guard import Guard

@@ -310,7 +310,6 @@ def _law_numbers(made: Coded) -> dict[str, Any]:
     law, scenario = made.law, made.mission.scenario
     velocity, tracking = law.velocity, law.tracking
     assert velocity.speed is not None
-    assert velocity.speed.authority is not None
     assert velocity.class_k.braking is not None
     told = {
         "offset": velocity.offset,

@@ -18,15 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from keepout.apps.inspection.zones import Nearest, with_zones
 from keepout.core.audit.tube import Tube, lengths
 from keepout.core.compiled.kept_executables import kept_jit
-from keepout.core.errors import InspectionError
+from keepout.core.errors import InspectionError, require_finite
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.distance import Points
 from keepout.core.mission.bounds import perturbations
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.core.mission.zones import Nearest, with_zones
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 from keepout.core.motion.relative import MotionState, RelativeMotion
@@ -129,8 +129,8 @@ class Spread:
             InspectionError: a push that is negative or not a number.
 
         """
-        if push is not None and not (math.isfinite(push) and push >= 0.0):
-            raise InspectionError(f"passive safety: push is {push} N; it must be finite and at least 0")
+        if push is not None:
+            require_finite(push, f"passive safety: push is {push} N", InspectionError)
         bounds, orbit = Surroundings(scenario).flight_bounds, scenario.orbit
         circular = orbit.eccentricity == 0.0 and not perturbations(scenario)
         return cls(
@@ -157,8 +157,7 @@ class Spread:
 
         """
         for name, value in (("position_error", position_error), ("velocity_error", velocity_error)):
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InspectionError(f"passive safety: {name} is {value}; it must be finite and at least 0")
+            require_finite(value, f"passive safety: {name} is {value}", InspectionError)
         found = self._by_norms(times, position_error, velocity_error + self.frame_rate * position_error)
         if self.mean_motion:
             faster = velocity_error + (self.frame_rate + self.mean_motion) * position_error
@@ -359,12 +358,8 @@ def states_at_times(
 @kept_jit
 def _target(motion: RelativeMotion, begin: MotionState, period: Float[Array, ""]) -> tuple[MotionState, MotionState]:
     """Give the target's state after `_RUN` periods, and those before it; the chaser's place does not matter."""
-
-    def advance(at: MotionState, _: None) -> tuple[MotionState, MotionState]:
-        after = motion.step(at, jnp.zeros(3), NoDisturbance(), period, 1.0)
-        return eqx.tree_at(lambda s: (s.position, s.velocity), after, (at.position, at.velocity)), at
-
-    return jax.lax.scan(advance, begin, length=_RUN)
+    states = motion.of_target(lambda state: state, begin, period, _RUN)
+    return jax.tree.map(lambda leaf: leaf[-1], states), jax.tree.map(lambda leaf: leaf[:-1], states)
 
 
 def _least(

@@ -21,6 +21,7 @@ from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, seeable
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.inspection.ways import MOST_NODES, Ways
+from keepout.apps.inspection.zones import mesh_and_zones
 from keepout.apps.led.camera import Boresight
 from keepout.core.control.profiles import least_offset
 from keepout.core.errors import InspectionError
@@ -30,7 +31,6 @@ from keepout.core.mission.approach import require_one_leg, require_outside_zones
 from keepout.core.mission.law import room_for_guard
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.core.mission.zones import mesh_and_zones
 from keepout.core.progress import Progress, part_of, silent
 
 _PATCH, _LARGE_PATCH = 0.25, 1.0
@@ -281,8 +281,7 @@ def _require_whole_patches(scenario: Scenario, target: Target) -> None:
     angle γ is least for sin φ = q, above it for sin φ = 1.
     """
     rules, size = rules_of(scenario), patch_size(scenario, target)
-    edges = np.diff(target.vertices[target.faces], axis=1)
-    area = 0.5 * float(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum())
+    area = target.distance.area
     if area > MOST_PATCHES * size * size:
         raise InspectionError(
             f"inspect.patch_size: {size:g} m; {area:.4g} m2 would be cut into {area / size / size:.2g} patches or "

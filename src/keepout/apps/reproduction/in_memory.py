@@ -12,13 +12,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Float
 
-from keepout.core.audit.audit import Audit
+from keepout.core.audit.audit import AUDITED, Audit
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.loop import FlightOutcome
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import prepare
-from keepout.core.mission.flight import AUDITED
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import has_way_out, room_to_start

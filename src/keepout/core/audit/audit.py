@@ -17,12 +17,12 @@ before, that leave the bounding box by more than R settle it. No orientation, si
 """
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from keepout.core.audit.tube import Contact, Distance, FlightBounds, Tube, components, lengths, nearest
 from keepout.core.audit.zones import Entered, Region, entered
@@ -152,6 +152,25 @@ class Audit:
         return not self.inconsistent_steps
 
 
+AUDITED = ("time", "position", "velocity", "force", "guard_status")
+"""Of a log, those that the audit looks at."""
+
+
+class Limits(NamedTuple):
+    """What the chaser is, and must keep.
+
+    Attributes:
+        chaser_radius: of the ball that holds the chaser, m.
+        force: per axis, N.
+        speed: on the norm, m/s.
+
+    """
+
+    chaser_radius: float
+    force: float
+    speed: float
+
+
 def audit(
     record: Any,
     target: ExactMesh,
@@ -160,9 +179,7 @@ def audit(
     bounds: FlightBounds,
     force_limit: float,
     speed_limit: float,
-    regions: Sequence[Region] = (),
-    tolerance: float = 1e-3,
-    consistency: float = 1e-6,
+    **asked: Any,
 ) -> Audit:
     """Judge one flight against the exact mesh.
 
@@ -175,53 +192,46 @@ def audit(
         bounds: on what the record does not hold.
         force_limit: per axis, N.
         speed_limit: on the norm, m/s.
-        regions: that must not be entered.
-        tolerance: how close to the truth the clearance bound is driven, m.
-        consistency: what the flight's own integrator may err by in a step, m.
+        **asked: `regions`, `tolerance` and `consistency` of `audit_campaign`.
 
     Raises:
         FlightError: the record cannot be read as a flight.
 
     """
     guard = getattr(record, "guard_status", None)
-    states = (np.asarray(getattr(record, name), float)[None] for name in ("position", "velocity", "force"))
-    return audit_campaign(
-        np.asarray(record.time, float),
-        *states,
-        target=target,
-        guard_status=None if guard is None else np.asarray(guard)[None],
-        chaser_radius=chaser_radius,
-        bounds=bounds,
-        force_limit=force_limit,
-        speed_limit=speed_limit,
-        regions=regions,
-        tolerance=tolerance,
-        consistency=consistency,
-    )[0]
+    log = {name: np.asarray(getattr(record, name), float)[None] for name in AUDITED[:4]}
+    log |= {} if guard is None else {"guard_status": np.asarray(guard)[None]}
+    return audit_campaign(log, target, Limits(chaser_radius, force_limit, speed_limit), bounds, **asked)[0]
 
 
 def audit_campaign(
-    time: Float[np.ndarray, "samples"],
-    position: Float[np.ndarray, "flights samples 3"],
-    velocity: Float[np.ndarray, "flights samples 3"],
-    force: Float[np.ndarray, "flights samples 3"],
+    log: Mapping[str, np.ndarray],
     target: ExactMesh,
-    *,
-    guard_status: Int[np.ndarray, "flights samples"] | None = None,
-    chaser_radius: float,
+    limits: Limits,
     bounds: FlightBounds,
-    force_limit: float,
-    speed_limit: float,
+    *,
     regions: Sequence[Region] = (),
     tolerance: float = 1e-3,
     consistency: float = 1e-6,
 ) -> list[Audit]:
-    """Judge flights that share their sample times; the arguments are those of `audit`, with a leading flight axis."""
-    _check(time, {"position": position, "velocity": velocity, "force": force})
-    require_finite(chaser_radius, f"audit: chaser_radius is {chaser_radius} m", FlightError)
-    for name, value in (("tolerance", tolerance), ("consistency", consistency)):
-        require_finite(value, f"audit: {name} is {value} m", FlightError, positive=True)
-    states = position, velocity, force
+    """Judge flights that share their sample times.
+
+    Args:
+        log: the arrays of `audit`'s record by name, each with a leading axis of flights; more of them do not matter.
+        target: the mesh.
+        limits: of the chaser.
+        bounds: on what the log does not hold.
+        regions: that must not be entered.
+        tolerance: how close to the truth the clearance bound is driven, m.
+        consistency: what the flights' own integrator may err by in a step, m.
+
+    Raises:
+        FlightError: the log cannot be read as flights.
+
+    """
+    time, states, guard_status = log["time"][0], [log[name] for name in AUDITED[1:4]], log.get("guard_status")
+    chaser_radius = limits.chaser_radius
+    _check(time, dict(zip(AUDITED[1:4], states, strict=True)), chaser_radius, tolerance, consistency)
     finite = np.all([np.isfinite(array.reshape(len(array), -1)).all(axis=1) for array in states], axis=0)
     # Zeros for the flights that are not finite; the arrays themselves where all are.
     shown = [array if finite.all() else np.where(finite[:, None, None], array, 0.0) for array in states]
@@ -233,7 +243,7 @@ def audit_campaign(
     first_away = distance(tube.position[:, 0])
     box = box_of(target)
     audits = []
-    for i in range(len(position)):
+    for i in range(len(finite)):
         if not finite[i]:
             audits.append(_unreadable(time, *(array[i] for array in states)))
             continue
@@ -247,7 +257,8 @@ def audit_campaign(
         if tube.beyond[i].any():
             contact, remarks = _beyond(contact, remarks, time[int(np.argmax(tube.beyond[i]))], bounds)
         x, y, z = bound.position[i].tolist()
-        pushes = np.max([np.abs(part) for part in components(force[i, :-1])], axis=0)
+        _, velocity, force = (array[i] for array in states)
+        pushes = np.max([np.abs(part) for part in components(force[:-1])], axis=0)
         audits.append(
             Audit(
                 contact=contact,
@@ -257,8 +268,8 @@ def audit_campaign(
                 minimum_position=(x, y, z),
                 inconsistent_steps=tuple(broken.tolist()),
                 start_outside=outside,
-                **_against("force", pushes, force_limit),
-                **_against("speed", lengths(velocity[i]), speed_limit),
+                **_against("force", pushes, limits.force),
+                **_against("speed", lengths(velocity), limits.speed),
                 guard_interventions=0 if guard_status is None else int(np.count_nonzero(guard_status[i] & _REPLACED)),
                 steps=len(time) - 1,
                 remarks=remarks,
@@ -346,7 +357,14 @@ def _unreadable(time: Float[np.ndarray, "samples"], *states: Float[np.ndarray, "
     )
 
 
-def _check(time: Float[np.ndarray, "samples"], states: dict[str, Float[np.ndarray, "flights samples 3"]]) -> None:
+def _check(
+    time: Float[np.ndarray, "samples"],
+    states: dict[str, Float[np.ndarray, "flights samples 3"]],
+    chaser_radius: float,
+    tolerance: float,
+    consistency: float,
+) -> None:
+    """Refuse arrays that are no flights, and numbers that nothing can be judged by."""
     if len(time) < 2:
         raise FlightError(f"audit: the flight has {len(time)} samples; it needs at least 2")
     if not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0.0):
@@ -357,3 +375,6 @@ def _check(time: Float[np.ndarray, "samples"], states: dict[str, Float[np.ndarra
             raise FlightError(
                 f"audit: {name} has shape {array.shape[1:]}; with {len(time)} times it must be ({len(time)}, 3)"
             )
+    require_finite(chaser_radius, f"audit: chaser_radius is {chaser_radius} m", FlightError)
+    for name, value in (("tolerance", tolerance), ("consistency", consistency)):
+        require_finite(value, f"audit: {name} is {value} m", FlightError, positive=True)

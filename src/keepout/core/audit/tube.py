@@ -231,10 +231,7 @@ def nearest(tube: Path, distance: Distance, *, tolerance: float) -> Nearest:
         kept = search.parts(flight, first, start, end, last=halving == _HALVINGS)
         flight, first = np.repeat(flight[kept], 2), np.repeat(first[kept], 2)
         middle = 0.5 * (start[kept] + end[kept])
-        start, end = (
-            np.stack([start[kept], middle], axis=-1).ravel(),
-            np.stack([middle, end[kept]], axis=-1).ravel(),
-        )
+        start, end = (np.stack(ends, axis=-1).ravel() for ends in ([start[kept], middle], [middle, end[kept]]))
         if first.size == 0:
             break
     return Nearest(search.lower, search.upper, search.time, search.position)

@@ -80,9 +80,8 @@ def keep_programs() -> Path | None:
 def folder_in_use() -> Path | None:
     """Give the folder that `keep_programs` has set up and that JAX still uses; None before that call, and without."""
     folder = keep_programs() if keep_programs.cache_info().currsize else None
-    return (
-        folder if folder is not None and getattr(jax.config, "jax_compilation_cache_dir", None) == str(folder) else None
-    )
+    used = getattr(jax.config, "jax_compilation_cache_dir", None)
+    return folder if used == str(folder) else None
 
 
 def _private_folder(chosen: str) -> Path | None:

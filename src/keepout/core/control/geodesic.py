@@ -25,11 +25,10 @@ from keepout.core.control.barrier_grid import (
     travel_time,
     widest_way,
 )
-from keepout.core.control.guidance import Guidance, GuidancePlan, Point, SlowingGuidance, towards
+from keepout.core.control.guidance import Guidance, GuidancePlan, Point, SlowingGuidance, Travel, towards
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field, values
 from keepout.core.motion.arrays import Scalar, Vector, as_float64
-from keepout.core.progress import Progress, silent
 
 SLOWEST = 0.03
 Corners = tuple[Sequence[float] | Point, Sequence[float] | Point]
@@ -277,24 +276,14 @@ class Geodesic(GuidancePlan):
     grid: BarrierGrid | None = None
     beyond: float = math.inf
 
-    def guidance(
-        self,
-        field: Field,
-        offset: float,
-        goal: Point,
-        *,
-        speed: float,
-        slowing_length: float,
-        start: Point | None = None,
-        progress: Progress = silent,
-    ) -> Guidance:
+    def guidance(self, field: Field, offset: float, goal: Point, travel: Travel) -> Guidance:
         """Make the guidance: seconds for the grid, where it is not given."""
         grid = self.grid
         if grid is None:
-            lower, upper = room_around(field, offset, goal, start) if self.bounds is None else self.bounds
-            grid = BarrierGrid.build(field, offset, lower, upper, spacing=self.spacing, progress=progress)
-        motion = {"speed": speed, "slowing_length": slowing_length}
-        return geodesic_guidance(grid, field, offset, goal, **motion, start=start, beyond=self.beyond)
+            lower, upper = room_around(field, offset, goal, travel.start) if self.bounds is None else self.bounds
+            grid = BarrierGrid.build(field, offset, lower, upper, spacing=self.spacing, progress=travel.progress)
+        motion = {"speed": travel.speed, "slowing_length": travel.slowing_length, "start": travel.start}
+        return geodesic_guidance(grid, field, offset, goal, **motion, beyond=self.beyond)
 
     def again(self, made: Guidance, speed: float, slowing_length: float) -> Guidance:
         """Give a guidance that this plan made with another speed and slowing length: no other part has them."""

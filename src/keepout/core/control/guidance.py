@@ -69,6 +69,24 @@ class StraightGuidance(SlowingGuidance):
         return self.speed * towards(self.goal, position, self.slowing_length)[0]
 
 
+@dataclass(frozen=True)
+class Travel:
+    """How a guidance is to lead to its goal.
+
+    Attributes:
+        speed: v_max, m/s.
+        slowing_length: k_p, m.
+        start: (3,) m, where given, must be connected to the goal.
+        progress: called while the guidance is made.
+
+    """
+
+    speed: float
+    slowing_length: float
+    start: Point | None = None
+    progress: Progress = silent
+
+
 class GuidancePlan(abc.ABC):
     """Makes a `Guidance` for a law's keep-out zone {field ≤ offset}, its speed and its slowing length.
 
@@ -84,27 +102,14 @@ class GuidancePlan(abc.ABC):
         return made(self)
 
     @abc.abstractmethod
-    def guidance(
-        self,
-        field: Field,
-        offset: float,
-        goal: Point,
-        *,
-        speed: float,
-        slowing_length: float,
-        start: Point | None = None,
-        progress: Progress = silent,
-    ) -> Guidance:
+    def guidance(self, field: Field, offset: float, goal: Point, travel: Travel) -> Guidance:
         """Make the guidance.
 
         Args:
             field: the law's.
             offset: of the law's barrier h = field − offset, m.
             goal: (3,) m, body frame, outside the keep-out zone.
-            speed: v_max, m/s.
-            slowing_length: k_p, m.
-            start: (3,) m, where given, must be connected to the goal.
-            progress: called while it is made.
+            travel: how fast to lead there, and from where.
 
         Raises:
             ControlError: the goal cannot be led to.
@@ -117,19 +122,9 @@ class _WhateverIsBetween(GuidancePlan):
 
     made: ClassVar[type[SlowingGuidance]]
 
-    def guidance(
-        self,
-        field: Field,
-        offset: float,
-        goal: Point,
-        *,
-        speed: float,
-        slowing_length: float,
-        start: Point | None = None,
-        progress: Progress = silent,
-    ) -> Guidance:
+    def guidance(self, field: Field, offset: float, goal: Point, travel: Travel) -> Guidance:
         """Make the guidance; the field is not asked."""
-        return self.made(jnp.asarray(goal), as_float64(speed), as_float64(slowing_length))
+        return self.made(jnp.asarray(goal), as_float64(travel.speed), as_float64(travel.slowing_length))
 
 
 @dataclass(frozen=True)

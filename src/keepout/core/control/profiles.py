@@ -5,6 +5,7 @@ disturbance and the speed wished for. Each design condition has its number, its 
 """
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from keepout.core.compiled.tried import THREE_NUMBERS, Asked, described, is_own
 from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.controller import Controller, Tracking
 from keepout.core.control.geodesic import Geodesic
-from keepout.core.control.guidance import Componentwise, ComponentwiseGuidance, Guidance, GuidancePlan, Point
+from keepout.core.control.guidance import Componentwise, ComponentwiseGuidance, Guidance, GuidancePlan, Point, Travel
 from keepout.core.control.law import Condition
 from keepout.core.control.observer import (
     ContinuousObserver,
@@ -213,68 +214,89 @@ def conditions(
 
     `start` (3,) m, at rest, adds the condition h₁(0) ≥ 0. The controller's arrays must hold one law, not a batch.
     """
-    period, disturbance_bound = operation.period, operation.disturbance_bound
-    tracking, law = controller.tracking, controller.velocity
+    found = [
+        *_of_gains(controller.tracking, controller.velocity, operation.period),
+        *_of_observer(controller.observer, operation.period),
+        *_of_circulation(controller.velocity.circulation),
+        *_of_thrust(controller, operation),
+    ]
+    if start is not None:
+        found.append(_of_start(controller, operation, start))
+    return tuple(found)
+
+
+def _of_gains(tracking: Tracking, law: SafeVelocity, period: float) -> Iterator[Condition]:
+    """Check the rates against each other and the sampling, and the weight of the position."""
     beta_c, beta_e = float(tracking.barrier_rate), float(tracking.estimation_rate)
     alpha = float(law.class_k.rate)
-    mass, force = float(controller.mass), float(np.min(np.asarray(controller.force_limit)))
-    left = (force - disturbance_bound) / mass
-    cap = law.speed.limit if law.speed is not None else law.box
-    assert cap is not None
-    speed = float(cap)
-    found: list[Condition] = []
-
-    def add(name: str, statement: str, value: float, limit: float, ok: bool, *, required: bool = True) -> None:
-        found.append(Condition(name, statement, value, limit, bool(ok), required))
-
-    add("observer outpaces filter", "2 beta_e > beta_c, 1/s", 2.0 * beta_e, beta_c, 2.0 * beta_e > beta_c)
-    add("filter outpaces barrier", "beta_c >= alpha_0, 1/s", beta_c, alpha, beta_c >= alpha)
+    yield Condition("observer outpaces filter", "2 beta_e > beta_c, 1/s", 2.0 * beta_e, beta_c, 2.0 * beta_e > beta_c)
+    yield Condition("filter outpaces barrier", "beta_c >= alpha_0, 1/s", beta_c, alpha, beta_c >= alpha)
     decay = beta_c * period
-    add("sampled barrier", "beta_c T_s <= 1", decay, 1.0, decay <= 1.0)
+    yield Condition("sampled barrier", "beta_c T_s <= 1", decay, 1.0, decay <= 1.0)
     sampling = float(tracking.gain) * period / 2.0
-    add("sampled tracking", "lambda T_s / 2 < 1", sampling, 1.0, sampling < 1.0)
-    smallest = float(np.linalg.eigvalsh(np.asarray(tracking.position_weight)).min())
-    add("position weight", "smallest eigenvalue of H_0 > 0", smallest, 0.0, smallest > 0.0)
+    yield Condition("sampled tracking", "lambda T_s / 2 < 1", sampling, 1.0, sampling < 1.0)
+    weight = np.asarray(tracking.position_weight)
+    smallest = float(np.linalg.eigvalsh(weight).min())
+    yield Condition("position weight", "smallest eigenvalue of H_0 > 0", smallest, 0.0, smallest > 0.0)
     if isinstance(law.guidance, ComponentwiseGuidance):
         # tanh acts by component: without a diagonal H_0, r_e' H_0 tanh(r_e/k_p) may be negative, and V_1 rise.
-        weight = np.asarray(tracking.position_weight)
         beside = float(np.abs(weight - np.diag(np.diag(weight))).max())
-        add("position weight and tanh", "largest |H_0| off its diagonal = 0", beside, 0.0, beside <= 0.0)
-    if isinstance(controller.observer, ContinuousObserver):
-        error = np.asarray(_error_matrix(controller.observer))
-        rate = float(np.real(np.linalg.eigvals(error)).max())
-        add("observer", "largest real part of A - L C/m < 0, 1/s", rate, 0.0, rate < 0.0)
-        factor = float(np.abs(1.0 + period * np.linalg.eigvals(error)).max())
-        add("observer sampled", "Euler step of the observer: largest |eigenvalue| < 1", factor, 1.0, factor < 1.0)
-        model = float(np.real(np.linalg.eigvals(np.asarray(controller.observer.generator))).max())
-        add("disturbance model", "largest real part of A <= 0, 1/s", model, 0.0, model <= 1e-12, required=False)
-    elif isinstance(controller.observer, SampledObserver):
-        factor = float(np.abs(np.linalg.eigvals(np.asarray(_error_matrix(controller.observer)))).max())
-        add("observer sampled", "largest |eigenvalue| of Phi - K C < 1", factor, 1.0, factor < 1.0)
-    if law.circulation is not None:
-        level = float(law.circulation.level)
-        add("circulation at the surface", "Upsilon(0) > 0, m/s", level, 0.0, level > 0.0)
-        if isinstance(law.circulation, ConstantCirculation):
-            omega = np.asarray(law.circulation.omega)
-            symmetric = float(np.abs(omega + omega.T).max())
-            add("circulation tangent", "Omega + Omega' = 0", symmetric, 0.0, symmetric <= 1e-12, required=False)
+        yield Condition("position weight and tanh", "largest |H_0| off its diagonal = 0", beside, 0.0, beside <= 0.0)
+
+
+def _of_observer(observer: Observer, period: float) -> Iterator[Condition]:
+    """Check that the estimation error decays, also as it is sampled."""
+    if isinstance(observer, ContinuousObserver):
+        rates = np.linalg.eigvals(np.asarray(_error_matrix(observer)))
+        rate, factor = float(np.real(rates).max()), float(np.abs(1.0 + period * rates).max())
+        yield Condition("observer", "largest real part of A - L C/m < 0, 1/s", rate, 0.0, rate < 0.0)
+        said = "Euler step of the observer: largest |eigenvalue| < 1"
+        yield Condition("observer sampled", said, factor, 1.0, factor < 1.0)
+        model = float(np.real(np.linalg.eigvals(np.asarray(observer.generator))).max())
+        said = "largest real part of A <= 0, 1/s"
+        yield Condition("disturbance model", said, model, 0.0, model <= 1e-12, required=False)
+    elif isinstance(observer, SampledObserver):
+        factor = float(np.abs(np.linalg.eigvals(np.asarray(_error_matrix(observer)))).max())
+        yield Condition("observer sampled", "largest |eigenvalue| of Phi - K C < 1", factor, 1.0, factor < 1.0)
+
+
+def _of_circulation(circulation: CirculationLaw | None) -> Iterator[Condition]:
+    """Check that it turns the chaser at the surface, and along it."""
+    if circulation is not None:
+        level = float(circulation.level)
+        yield Condition("circulation at the surface", "Upsilon(0) > 0, m/s", level, 0.0, level > 0.0)
+    if isinstance(circulation, ConstantCirculation):
+        omega = np.asarray(circulation.omega)
+        symmetric = float(np.abs(omega + omega.T).max())
+        yield Condition("circulation tangent", "Omega + Omega' = 0", symmetric, 0.0, symmetric <= 1e-12, required=False)
+
+
+def _of_thrust(controller: Controller, operation: Operation) -> Iterator[Condition]:
+    """Check that the thrusters give what the barrier may ask for, and what holds the chaser at the goal."""
+    law, disturbance_bound = controller.velocity, operation.disturbance_bound
+    mass, force = float(controller.mass), float(np.min(np.asarray(controller.force_limit)))
+    left = (force - disturbance_bound) / mass
     if law.class_k.braking is None:
-        asked = alpha * speed
-        add("authority", "alpha_0 v_max <= (F_max - d_max)/m, m/s2", asked, left, asked <= left)
+        cap = law.speed.limit if law.speed is not None else law.box
+        assert cap is not None
+        asked = float(law.class_k.rate) * float(cap)
+        yield Condition("authority", "alpha_0 v_max <= (F_max - d_max)/m, m/s2", asked, left, asked <= left)
     else:
         braking = float(law.class_k.braking)
-        add("authority", "a_c <= (F_max - d_max)/m, m/s2", braking, left, braking <= left)
+        yield Condition("authority", "a_c <= (F_max - d_max)/m, m/s2", braking, left, braking <= left)
     hold = mass * float(_drift_at_rest(controller.motion, controller.goal)) + disturbance_bound
-    add("hold at the goal", "m |drift(goal)| + d_max <= F_max, N", hold, force, hold <= force)
-    if start is not None:
-        # Only v_s is needed here, and its Jacobian is most of the time to compile.
-        plain = replace(law, differentiate=False)
-        point = _at_rest(plain, as_float64(start))
-        square = float(np.sum(np.asarray(point.velocity) ** 2))
-        h1 = float(point.barrier) - square / (2.0 * float(tracking.barrier_ratio))
-        h1 -= 0.5 * float(tracking.estimation_weight) * disturbance_bound**2
-        add("start in the safe set", "h_1(0) >= 0 at rest, m", h1, 0.0, h1 >= 0.0, required=False)
-    return tuple(found)
+    yield Condition("hold at the goal", "m |drift(goal)| + d_max <= F_max, N", hold, force, hold <= force)
+
+
+def _of_start(controller: Controller, operation: Operation, start: Float[np.ndarray, "3"]) -> Condition:
+    """Check that the law's safe set holds a start (m) at rest."""
+    # Only v_s is needed here, and its Jacobian is most of the time to compile.
+    plain, tracking = replace(controller.velocity, differentiate=False), controller.tracking
+    point = _at_rest(plain, as_float64(start))
+    square = float(np.sum(np.asarray(point.velocity) ** 2))
+    h1 = float(point.barrier) - square / (2.0 * float(tracking.barrier_ratio))
+    h1 -= 0.5 * float(tracking.estimation_weight) * operation.disturbance_bound**2
+    return Condition("start in the safe set", "h_1(0) >= 0 at rest, m", h1, 0.0, h1 >= 0.0, required=False)
 
 
 class ControlWarning(UserWarning):
@@ -288,17 +310,15 @@ def _point(name: str, value: Any) -> Point:
     return array
 
 
-def _leader(
-    guidance: Guidance | GuidancePlan, field: Field, offset: float, goal: Point, start: Point | None, **led: Any
-) -> Guidance:
-    """Make a plan's guidance, `led` as `GuidancePlan.guidance` is; it must lead to the goal, with a velocity there."""
+def _leader(guidance: Guidance | GuidancePlan, field: Field, offset: float, goal: Point, travel: Travel) -> Guidance:
+    """Make a plan's guidance; it must lead to the goal, with a velocity there."""
     # Before a grid is built, which takes seconds.
     if not (isinstance(guidance, GuidancePlan) and guidance.refuses):
         require_free(field, offset, goal, "goal")
-    if start is not None:
-        require_free(field, offset, start, "start")
+    if travel.start is not None:
+        require_free(field, offset, travel.start, "start")
     if isinstance(guidance, GuidancePlan):
-        guidance = guidance.guidance(field, offset, goal, start=start, **led)
+        guidance = guidance.guidance(field, offset, goal, travel)
     if not isinstance(guidance, Guidance):
         raise ControlError(f"guidance: {described(guidance)}; it must be a keepout.Guidance or a keepout.GuidancePlan")
     if is_own(guidance):
@@ -356,11 +376,11 @@ def default(
     tuning = _with_gains(tune(operation, drift_bound=drift), gains)
     offset = operation.keep_out + tuning.nominal_offset
     plan = Geodesic() if guidance is None else guidance
-    led = {"speed": chaser.speed_limit, "slowing_length": tuning.slowing_length, "progress": progress}
+    travel = Travel(chaser.speed_limit, tuning.slowing_length, start, progress)
     law = SafeVelocity(
         field=field,
         offset=as_float64(offset),
-        guidance=_leader(plan, field, offset, goal, start, **led),
+        guidance=_leader(plan, field, offset, goal, travel),
         class_k=ClassK(as_float64(tuning.class_k_rate), as_float64(tuning.braking)),
         circulation=None if isinstance(circulation, NoCirculation) else circulation,
         speed=SpeedCone(*map(as_float64, (chaser.speed_limit, tuning.authority, tuning.speed_reserve))),
@@ -380,7 +400,7 @@ def default(
     )
     if observer is None:
         observer = harmonic_observer(mass=chaser.mass, period=operation.period)
-    made = _composed(law, tracking, observer, operation, nominal_offset=tuning.nominal_offset, start=start)
+    made = _composed(law, tracking, observer, operation, tuning.nominal_offset, start)
     broken = [c for c in made.checked if c.required and not c.satisfied]
     if broken:
         raise ControlError("default law: " + "; ".join(str(c) for c in broken))
@@ -435,12 +455,12 @@ def paper(
     chaser, goal = operation.chaser, _point("goal", goal)
     start = None if start is None else _point("start", start)
     plan = Componentwise() if guidance is None else guidance
-    led = {"speed": chaser.speed_limit, "slowing_length": slowing_length, "progress": progress}
+    travel = Travel(chaser.speed_limit, slowing_length, start, progress)
     turning = printed_circulation() if circulation is None else circulation
     law = SafeVelocity(
         field=field,
         offset=as_float64(operation.keep_out),
-        guidance=_leader(plan, field, operation.keep_out, goal, start, **led),
+        guidance=_leader(plan, field, operation.keep_out, goal, travel),
         class_k=ClassK(as_float64(0.08)),
         circulation=None if isinstance(turning, NoCirculation) else turning,
         # Without e_∇h the barrier row is a half-space, and the program a quadratic one.
@@ -461,7 +481,7 @@ def paper(
     )
     if observer is None:
         observer = printed_observer(mass=chaser.mass, period=operation.period)
-    made = _composed(law, tracking, observer, operation, nominal_offset=0.0, start=start)
+    made = _composed(law, tracking, observer, operation, 0.0, start)
     broken = "; ".join(str(c) for c in made.checked if not c.satisfied)
     if broken:
         said = f"paper law: it flies although its theory's conditions do not all hold: {broken}"
@@ -470,15 +490,9 @@ def paper(
 
 
 def _composed(
-    law: SafeVelocity,
-    tracking: Tracking,
-    observer: Observer,
-    operation: Operation,
-    *,
-    nominal_offset: float,
-    start: Point | None,
+    law: SafeVelocity, tracking: Tracking, observer: Observer, operation: Operation, offset: float, start: Point | None
 ) -> Controller:
-    """Put a law together, and check its conditions."""
+    """Put a law together that keeps an `offset` (m) beyond the keep-out zone, and check its conditions."""
     made = Controller(
         velocity=law,
         tracking=tracking,
@@ -486,6 +500,6 @@ def _composed(
         motion=operation.motion,
         mass=as_float64(operation.chaser.mass),
         force_limit=as_float64(np.full(3, operation.chaser.force_limit)),
-        nominal_offset=as_float64(nominal_offset),
+        nominal_offset=as_float64(offset),
     )
     return replace(made, checked=conditions(made, operation, start=start))

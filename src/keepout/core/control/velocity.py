@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from keepout.core.control.guidance import Guidance
-from keepout.core.control.unit_program import Circulation, HalfSpaces, VelocityProgram
+from keepout.core.control.unit_program import Circulation, HalfSpaces, VelocityProgram, or_one
 from keepout.core.control.velocity_program import solve
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
@@ -119,8 +119,7 @@ def skew_circulation() -> ConstantCirculation:
 
 
 def _unit(vector: Vector) -> Vector:
-    size = norm(vector)
-    return vector / jnp.where(size > 0.0, size, 1.0)
+    return vector / or_one(norm(vector))
 
 
 def _unit_or(vector: Vector, otherwise: Vector) -> Vector:
@@ -151,18 +150,16 @@ class ClassK(eqx.Module):
 class SpeedCone(eqx.Module):
     """The speed limit s(h) = min(v_max, √(2 a_b (max(h, 0) + reserve))).
 
-    At this speed the chaser can stop within h + reserve. `limit` v_max in m/s, `authority` a_b in m/s² (None: no
-    cone, only the cap), `reserve` in m.
+    At this speed the chaser can stop within h + reserve. `limit` v_max in m/s, `authority` a_b in m/s²,
+    `reserve` in m.
     """
 
     limit: Scalar
-    authority: Scalar | None
+    authority: Scalar
     reserve: Scalar
 
     def __call__(self, barrier: Scalar) -> Scalar:
         """Return s(h)."""
-        if self.authority is None:
-            return self.limit
         return jnp.minimum(self.limit, jnp.sqrt(2.0 * self.authority * (jnp.maximum(barrier, 0.0) + self.reserve)))
 
 

@@ -11,7 +11,6 @@ from typing import Any, Literal
 import jax
 import numpy as np
 import safetensors.numpy
-from jaxtyping import Array
 
 from keepout.core.errors import FieldError
 from keepout.core.fields.continuation import RadialContinuation
@@ -20,6 +19,7 @@ from keepout.core.fields.grid import STORED, GridField
 from keepout.core.fields.neural import Layers, NeuralField
 from keepout.core.geometry.target import Target
 from keepout.core.kept import digest
+from keepout.core.motion.arrays import as_float64
 from keepout.core.plug_ins import load
 from keepout.core.whole_file import write_whole
 
@@ -342,17 +342,12 @@ def _take_apart(field: Field) -> tuple[dict[str, np.ndarray], dict]:
     return tensors, description
 
 
-def _placed(numbers: float | list) -> Array:
-    """Give float64 numbers as an array, without a program of their shape that `jnp.asarray` would compile."""
-    return jax.device_put(np.asarray(numbers, np.float64))
-
-
 def _put_together(tensors: dict[str, np.ndarray], description: dict) -> Field:
-    numbers = {name: _placed(value) for name, value in description["continuation"].items()}
+    numbers = {name: as_float64(value) for name, value in description["continuation"].items()}
     continuation = RadialContinuation(**numbers)
     if description["kind"] == "grid":
         tables = tuple(jax.device_put(tensors[f"table{i}"]) for i in range(int(description["levels"])))
-        origin, spacing = (_placed(description[name]) for name in ("origin", "spacing"))
+        origin, spacing = (as_float64(description[name]) for name in ("origin", "spacing"))
         return GridField(jax.device_put(tensors["coefficients"]), tables, origin, spacing, continuation)
     if description["kind"] != "neural":
         raise ValueError(f"field kind {description['kind']!r}")
@@ -366,7 +361,7 @@ def _put_together(tensors: dict[str, np.ndarray], description: dict) -> Field:
         if W.ndim != 2 or W.shape[1] != width or b.shape != (W.shape[0],):
             raise ValueError(f"layer shapes {W.shape}, {b.shape} do not follow on width {width}")
         width = W.shape[0]
-    return NeuralField(layers, _placed(description["scale"]), continuation, float(description["beta"]))
+    return NeuralField(layers, as_float64(description["scale"]), continuation, float(description["beta"]))
 
 
 def require_admissible(field: Field) -> None:

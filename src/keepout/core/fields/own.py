@@ -1,9 +1,8 @@
 """A field of your own: any JAX function of a point, with a bound of its gradient that you state or that was sampled.
 
-And two in closed form, a ball and a union of boxes: truths for tests, and baselines that need no learning.
+And one in closed form, a ball: a truth for tests, and a baseline that needs no learning.
 """
 
-import abc
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
@@ -24,30 +23,7 @@ _LOOSE = 1.0 + 1e-9
 """Relative: a stated bound is not broken by the rounding of a gradient."""
 
 
-class _OfOnePoint(Field):
-    """A field told for one point; derivatives are JAX's."""
-
-    @abc.abstractmethod
-    def _at(self, point: Float[Array, "3"]) -> Float[Array, ""]:
-        """Signed distance in metres."""
-
-    def value(self, points: Points) -> Values:
-        """Signed distance in metres."""
-        return jax.vmap(self._at)(points.reshape(-1, 3)).reshape(points.shape[:-1])
-
-    def value_and_gradient(self, points: Points) -> tuple[Values, Points]:
-        """Signed distance in metres and its gradient."""
-        value, gradient = jax.vmap(jax.value_and_grad(self._at))(points.reshape(-1, 3))
-        return value.reshape(points.shape[:-1]), gradient.reshape(points.shape)
-
-    def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
-        """Signed distance in metres, gradient, and Hessian in 1/m."""
-        value, gradient = self.value_and_gradient(points)
-        hessian = jax.vmap(jax.hessian(self._at))(points.reshape(-1, 3))
-        return value, gradient, hessian.reshape(*points.shape, 3)
-
-
-class FunctionField(_OfOnePoint):
+class FunctionField(Field):
     """A signed distance f̃(p) in metres, of a JAX function of one point (3,) m; derivatives are JAX's.
 
     Build it with `stated_field` or `sampled_field`, which look at it first.
@@ -67,6 +43,21 @@ class FunctionField(_OfOnePoint):
 
     def _at(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         return of_places(point, self.function(within_numbers(point)))
+
+    def value(self, points: Points) -> Values:
+        """Signed distance in metres."""
+        return jax.vmap(self._at)(points.reshape(-1, 3)).reshape(points.shape[:-1])
+
+    def value_and_gradient(self, points: Points) -> tuple[Values, Points]:
+        """Signed distance in metres and its gradient."""
+        value, gradient = jax.vmap(jax.value_and_grad(self._at))(points.reshape(-1, 3))
+        return value.reshape(points.shape[:-1]), gradient.reshape(points.shape)
+
+    def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
+        """Signed distance in metres, gradient, and Hessian in 1/m."""
+        value, gradient = self.value_and_gradient(points)
+        hessian = jax.vmap(jax.hessian(self._at))(points.reshape(-1, 3))
+        return value, gradient, hessian.reshape(*points.shape, 3)
 
 
 def stated_field(
@@ -184,30 +175,3 @@ class SphereField(Field):
         u = y * inverse[..., None]
         across = jnp.eye(3) - u[..., :, None] * u[..., None, :]
         return of_places(points, r - self.radius), u, across * inverse[..., None, None]
-
-
-class BoxUnionField(_OfOnePoint):
-    """A C^∞ lower bound of the signed distance to a union of axis-aligned boxes.
-
-    The exact distance is not C² (edges, corners, medial axis). Each box's distance is the largest of its six face
-    distances, which never exceeds the exact one outside, and maxima and minima are replaced by log-sum-exp with
-    temperature τ: within a box the soft maximum lowered by τ log 6, over the boxes the soft minimum, which is low by
-    at most τ log(number of boxes). So the value never over-states the distance, and is exact to those two terms beside
-    a face.
-
-    Attributes:
-        lower: (boxes, 3) corners, metres.
-        upper: (boxes, 3) opposite corners, metres.
-        smoothing: τ, metres, positive.
-
-    """
-
-    lower: Float[Array, "boxes 3"]
-    upper: Float[Array, "boxes 3"]
-    smoothing: Float[Array, ""]
-
-    def _at(self, point: Float[Array, "3"]) -> Float[Array, ""]:
-        tau, near = self.smoothing, within_numbers(point)
-        faces = jnp.concatenate([self.lower - near, near - self.upper], axis=-1)
-        boxes = tau * (jax.nn.logsumexp(faces / tau, axis=-1) - jnp.log(6.0))
-        return of_places(point, -tau * jax.nn.logsumexp(-boxes / tau))

@@ -16,7 +16,7 @@ Vector = Sequence[float] | Float[np.ndarray, "3"]
 
 def box(centre: Vector, size: Vector) -> Manifold:
     """Make an axis-aligned box, metres."""
-    return Manifold.cube(_triple(size), center=True).translate(_triple(centre))
+    return Manifold.cube(triple(size), center=True).translate(triple(centre))
 
 
 def rod(start: Vector, end: Vector, radius: float, end_radius: float | None = None, segments: int = 16) -> Manifold:
@@ -35,7 +35,7 @@ def turned(origin: Vector, axis: Vector, outline: Sequence[tuple[float, float]],
 
 def sphere(centre: Vector, radius: float, segments: int = 24) -> Manifold:
     """Make a faceted sphere whose corners lie on the radius."""
-    return Manifold.sphere(radius, segments).translate(_triple(centre))
+    return Manifold.sphere(radius, segments).translate(triple(centre))
 
 
 def dish(vertex: Vector, boresight: Vector, diameter: float, focal_length: float, thickness: float) -> Manifold:
@@ -61,7 +61,8 @@ def mesh(solid: Manifold) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 
     return np.array(made.vert_properties[:, :3], dtype=np.float64), np.array(made.tri_verts, dtype=np.int64)
 
 
-def _triple(vector: Vector) -> tuple[float, float, float]:
+def triple(vector: Vector) -> tuple[float, float, float]:
+    """Give three numbers as a tuple of Python's."""
     x, y, z = (float(value) for value in vector)
     return x, y, z
 

@@ -13,7 +13,7 @@ import scipy.sparse.csgraph
 from jaxtyping import Bool, Float, Int
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry.builtin import BUILTINS
+from keepout.core.geometry.builtin import BUILTINS, triple
 from keepout.core.geometry.distance import BallCloudDistance, Distance, ExactDistance
 from keepout.core.geometry.mesh_files import READERS
 from keepout.core.geometry.mesh_files.contents import MeshContents, counted, resolved, text_lines
@@ -93,8 +93,8 @@ def describe(surface: MeshContents) -> MeshReport:
         non_manifold_edges=crowded,
         degenerate_faces=degenerate,
         stray_parts=stray,
-        lower=_triple(lower),
-        upper=_triple(upper),
+        lower=triple(lower),
+        upper=triple(upper),
         actions=surface.actions,
     )
 
@@ -151,11 +151,6 @@ def enclosed_volume(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "
     """
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
-
-
-def _triple(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z
 
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}

@@ -267,7 +267,7 @@ class Guard(SafetyLayer):
             GuardFlag.ESTIMATE: ~(seen.told | seen.left_out),
             GuardFlag.WIDE: ~seen.narrow,
             GuardFlag.CONTRADICTED: seen.contradicted,
-            GuardFlag.EXPIRED: watch.expired(a, estimate.time),
+            GuardFlag.EXPIRED: estimate.time > a.valid_until,
         }
         flags = sum(jnp.where(yes, flag, 0) for flag, yes in raised.items())
         return new, a.mass * chosen, (done + flags).astype(jnp.int32)

@@ -36,9 +36,9 @@ class ObserverState(eqx.Module):
 
 def begin(estimate: MotionState, assumptions: GuardAssumptions, windows: tuple[int, ...]) -> ObserverState:
     """Give the memory before the first step, from the estimate that the first plan is made for."""
-    yes = jnp.asarray(True)
-    doubts = watch.begin_doubts(windows, caps(assumptions))
-    return ObserverState(estimate.position, estimate.velocity, yes, doubts)
+    errors = caps(assumptions)
+    doubts = watch.Doubts(errors, jnp.broadcast_to(errors[1], (len(windows),)))
+    return ObserverState(estimate.position, estimate.velocity, jnp.asarray(True), doubts)
 
 
 def caps(assumptions: GuardAssumptions) -> Float[Array, "2"]:

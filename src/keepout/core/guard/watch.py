@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from keepout.core.guard.braking import GuardAssumptions, Number
-from keepout.core.motion.arrays import Flag, Scalar, Vector
+from keepout.core.motion.arrays import Flag, Vector
 
 SHARE = 0.01
 """A lasting excess of this share of D is within reach of the longest window, unless that would pass `LONGEST`."""
@@ -72,11 +72,6 @@ def begin(lengths: tuple[int, ...]) -> tuple[Float[Array, "windows 3"], Int[Arra
     return jnp.zeros((len(lengths), 3)), jnp.zeros((), jnp.int32)
 
 
-def begin_doubts(lengths: tuple[int, ...], errors: Float[Array, "2"]) -> Doubts:
-    """Give the errors (m, m/s) of the estimate that a flight begins with as those of all windows."""
-    return Doubts(errors, jnp.broadcast_to(errors[1], (len(lengths),)))
-
-
 def next_doubts(lengths: tuple[int, ...], counted: Int[Array, ""], doubts: Doubts, errors: Float[Array, "2"]) -> Doubts:
     """Take the errors (m, m/s) of the estimate told now; `watch` needs what was before and what is then."""
     anew = counted % jnp.asarray(lengths, jnp.int32) == 0
@@ -125,11 +120,6 @@ def watch(
 def loosened(bound: Number | Float[Array, "windows"]) -> Number | Float[Array, "windows"]:
     """Give a bound (m or m/s) with the slack that rounding needs."""
     return bound * (1.0 + _LOOSE) + _ROUNDING
-
-
-def expired(assumptions: GuardAssumptions, time: Scalar) -> Flag:
-    """Whether the time, s since the orbit's epoch, is past the one until which the assumptions hold: `EXPIRED`."""
-    return time > assumptions.valid_until
 
 
 def too_strong(assumptions: GuardAssumptions, disturbance_estimate: Vector) -> Flag:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float32, Int
 
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
-from keepout.core.fields.continuation import Rows, Vectors
+from keepout.core.fields.continuation import Vectors
 from keepout.core.fields.neural import Kept, Layers, sweeps, times
 
 LARGE_TARGET = 20.0
@@ -261,11 +261,7 @@ def terms(
     return paper_terms(layers, profile, scale, batch)
 
 
-def _value_and_gradient(layers: Layers, beta: float, x: Vectors) -> tuple[Rows, Vectors]:
-    return sweeps(layers, beta, x)[0]
-
-
-value_and_gradient = jax.custom_vjp(_value_and_gradient, nondiff_argnums=(1,))
+value_and_gradient = jax.custom_vjp(neural.value_and_gradient, nondiff_argnums=(1,))
 """`neural.value_and_gradient`, whose own derivative is with respect to the layers, not to x."""
 
 

@@ -145,33 +145,11 @@ def fit(
         initial = initial._replace(layers=begun)
     state = course.taken(initial, kept, target.name, part_of(progress, 0.1, 0.99))
     field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
-    training = {
-        "profile": name,
-        "numbers": dataclasses.asdict(numbers),
-        "chaser_radius": chaser_radius,
-        "seed": seed,
-        "sloped_share": int(course.examples.sloped) / len(data.x),
-        "seconds": time.perf_counter() - start,
-        "seconds_of": seconds,
-        "ended": pace.ended,
-        "closing_radius": solid.closing_radius,
-        "curve": _curve_told(numbers, np.asarray(state.curve, np.float64)),
-        "jax": jax.__version__,
-        "device": jax.devices()[0].platform,
-    }
+    training = course.record(state, name, chaser_radius, solid.closing_radius)
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     progress(1.0, "done")
     return FieldModel(field, target.name, target.sha256, solid.offset, training)
-
-
-def _curve_told(numbers: losses.TrainingProfile, curve: Float[np.ndarray, "blocks terms"]) -> dict[str, list[float]]:
-    """Give the loss's terms after each block that was taken, with the steps until then."""
-    taken = np.isfinite(curve[:, 0])
-    return {
-        "steps": np.cumsum(np.array(block_lengths(numbers))[taken]).tolist(),
-        **{name: column[taken].tolist() for name, column in zip(CURVE, curve.T)},
-    }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -268,6 +246,28 @@ class _Course:
         reached = jnp.stack([value_term, slope_term, jnp.asarray(offset.mean(), jnp.float32)])
         curve = state.curve.at[block].set(reached)
         return state._replace(layers=layers, optimizer=optimizer, curve=curve)
+
+    def record(self, state: _State, profile: str, chaser_radius: float, closing_radius: float) -> dict[str, Any]:
+        """Give plain values for JSON: how a field was learned, and the loss's terms after each block that was taken."""
+        curve = np.asarray(state.curve, np.float64)
+        taken = np.isfinite(curve[:, 0])
+        return {
+            "profile": profile,
+            "numbers": dataclasses.asdict(self.numbers),
+            "chaser_radius": chaser_radius,
+            "seed": self.seed,
+            "sloped_share": int(self.examples.sloped) / int(self.examples.known),
+            "seconds": time.perf_counter() - self.pace.begun,
+            "seconds_of": self.seconds,
+            "ended": self.pace.ended,
+            "closing_radius": closing_radius,
+            "curve": {
+                "steps": np.cumsum(np.array(block_lengths(self.numbers))[taken]).tolist(),
+                **{name: column[taken].tolist() for name, column in zip(CURVE, curve.T)},
+            },
+            "jax": jax.__version__,
+            "device": jax.devices()[0].platform,
+        }
 
 
 def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: int, seed: int) -> _State:

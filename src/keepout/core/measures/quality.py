@@ -88,13 +88,6 @@ def distance_errors(
     )
 
 
-def over_statement(
-    field: Field, solid: OffsetSolid, *, level: float, count: int = 20_000, seed: int = 0
-) -> Float[np.ndarray, "n"]:
-    """Give f̃ - d, metres, on exterior points whose distance d is `level` metres: at most `count` of them."""
-    return values(field, _exterior_level(solid, level, count, np.random.default_rng(seed))) - level
-
-
 @dataclasses.dataclass(frozen=True)
 class GradientErrors:
     """‖∇d - ∇f̃‖ on exterior points in one band of d, where ∇d is defined: the paper's e_∇h bounds it.

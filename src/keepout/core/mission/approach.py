@@ -19,7 +19,7 @@ import numpy as np
 from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.controller import Controller
 from keepout.core.control.geodesic import Geodesic, GeodesicGuidance, one_behind_the_other
-from keepout.core.control.guidance import Guidance, GuidancePlan, Point
+from keepout.core.control.guidance import Guidance, GuidancePlan, Point, Travel
 from keepout.core.control.law import Law
 from keepout.core.control.legs import LegGuidance, LegLaw, Legs, SpeedByDistance
 from keepout.core.errors import ControlError, KeepoutError, KeepOutZoneError, ScenarioError
@@ -33,7 +33,7 @@ from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.zones import corridor_shape, named, require_clear, standing_zone, with_digests
 from keepout.core.motion import rotation
 from keepout.core.motion.arrays import as_float64
-from keepout.core.progress import Progress, part_of, silent
+from keepout.core.progress import part_of
 
 _LEAST_ROOM, _ROOM = 6.0, 0.25
 """About a leg's ends, within which its way is looked for at first: at least so much, m, and this share of the leg."""
@@ -119,25 +119,12 @@ class LegPlan(GuidancePlan):
     each: GuidancePlan
     rule: SpeedByDistance | None
 
-    def guidance(
-        self,
-        field: Field,
-        offset: float,
-        goal: Point,
-        *,
-        speed: float,
-        slowing_length: float,
-        start: Point | None = None,
-        progress: Progress = silent,
-    ) -> Guidance:
+    def guidance(self, field: Field, offset: float, goal: Point, travel: Travel) -> Guidance:
         """Make the guidance of all legs; its `leg` is the last, where `goal` is."""
         legs = self.scenario.leg
         if not legs:
             require_free(field, offset, goal, "goal")
-            way = self.each.guidance(
-                field, offset, goal, speed=speed, slowing_length=slowing_length, start=start, progress=progress
-            )
-            return LegGuidance.of([way], self.rule)
+            return LegGuidance.of([self.each.guidance(field, offset, goal, travel)], self.rule)
         places = [np.asarray(leg.position, dtype=float) for leg in legs]
         stages = [field.at_time(as_float64(time)) for time in earliest(self.scenario)]
         for number, (leg, place, now) in enumerate(zip(legs, places, stages, strict=True)):
@@ -145,13 +132,13 @@ class LegPlan(GuidancePlan):
                 require_free(now, offset, place, named("leg", leg, number))
             except KeepOutZoneError as refusal:  # which would be of the start or the goal
                 raise ControlError(str(refusal)) from None
-        ways, before = [], start
+        ways, before = [], travel.start
         for number, (leg, place, now) in enumerate(zip(legs, places, stages, strict=True)):
-            part = part_of(progress, number / len(legs), (number + 1) / len(legs))
-            fastest = min(speed, leg.speed_limit or math.inf)
-            led = {"speed": fastest, "slowing_length": slowing_length * (fastest / speed), "progress": part}
+            part = part_of(travel.progress, number / len(legs), (number + 1) / len(legs))
+            fastest = min(travel.speed, leg.speed_limit or math.inf)
+            slowing_length = travel.slowing_length * (fastest / travel.speed)
             try:
-                ways.append(self._way(now, offset, place, before, led))
+                ways.append(self._way(now, offset, place, Travel(fastest, slowing_length, before, part)))
             except KeepoutError as refusal:
                 raise ControlError(f"{named('leg', leg, number)}: {refusal}") from None
             before = place
@@ -175,19 +162,19 @@ class LegPlan(GuidancePlan):
         legs = self.scenario.model_dump_json(include={"leg", "zone", "corridor", "approach"})
         return (digest(legs, *walls), getattr(self.each, "spacing", None))
 
-    def _way(self, field: Field, offset: float, place: Point, before: Point | None, led: dict[str, Any]) -> Guidance:
+    def _way(self, field: Field, offset: float, place: Point, travel: Travel) -> Guidance:
         """Give the guidance of one leg: in the room about its ends, or in all the room there is."""
-        each = self.each
+        each, before = self.each, travel.start
         if not isinstance(each, Geodesic) or each.grid is not None or each.bounds is not None or before is None:
-            return each.guidance(field, offset, place, start=before, **led)
+            return each.guidance(field, offset, place, travel)
         ends = np.stack([place, before])
         room = max(_LEAST_ROOM, _ROOM * float(np.linalg.norm(place - before)))
         about = dataclasses.replace(each, bounds=(ends.min(axis=0) - room, ends.max(axis=0) + room))
         try:
-            return about.guidance(field, offset, place, start=before, **led)
+            return about.guidance(field, offset, place, travel)
         except ControlError as near:
             try:
-                return each.guidance(field, offset, place, start=before, **led)
+                return each.guidance(field, offset, place, travel)
             except ControlError:
                 raise near from None
 

@@ -21,7 +21,6 @@ from keepout.core.mission.entries import DragEntry, OrbitEntry
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion import orbit as orbits
-from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
 _OUTWARD = 1.0 + 1e-6
@@ -78,7 +77,13 @@ def orbit_of(entry: OrbitEntry) -> orbits.Orbit:
 
 def perturbations(scenario: Scenario) -> tuple[orbits.Perturbation, ...]:
     """Build what bends the scenario's orbits away from Kepler's."""
-    return _perturbations(scenario.orbit, scenario.drag, _sunlight(scenario))
+    drag, sun = scenario.drag, scenario.sun
+    found: list[orbits.Perturbation] = [orbits.J2()] if scenario.orbit.j2 else []
+    if drag.density > 0.0:
+        found.append(orbits.Drag(**drag.model_dump()))
+    if sun.target_area_to_mass or sun.chaser_area_to_mass:
+        found.append(orbits.SolarPressure(direction=sun_of(scenario), **sun.model_dump(exclude={"direction"})))
+    return tuple(found)
 
 
 def sun_of(scenario: Scenario) -> tuple[float, float, float]:
@@ -89,23 +94,6 @@ def sun_of(scenario: Scenario) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _sunlight(scenario: Scenario) -> orbits.SolarPressure | None:
-    sun = scenario.sun
-    if sun.target_area_to_mass == sun.chaser_area_to_mass == 0.0:
-        return None
-    pushed = sun.model_dump(exclude={"direction"})
-    return orbits.SolarPressure(direction=sun_of(scenario), **pushed)
-
-
-def _perturbations(
-    orbit: OrbitEntry, drag: DragEntry, sunlight: orbits.SolarPressure | None
-) -> tuple[orbits.Perturbation, ...]:
-    found: tuple[orbits.Perturbation, ...] = (orbits.J2(),) if orbit.j2 else ()
-    if drag.density > 0.0:
-        found = (*found, orbits.Drag(**drag.model_dump()))
-    return found if sunlight is None else (*found, sunlight)
-
-
 def orbit_bounds(scenario: Scenario) -> OrbitBounds:
     """Bound the target's orbit over the scenario's flight, whose last control period may end after its duration.
 
@@ -113,10 +101,11 @@ def orbit_bounds(scenario: Scenario) -> OrbitBounds:
         ScenarioError: perturbations bring the target down to the Earth.
 
     """
-    if perturbations(scenario):
+    parts = perturbations(scenario)
+    if parts:
         flown = max(scenario.duration, scenario.steps * scenario.control.period)
-        known = scenario.orbit, scenario.drag, _sunlight(scenario)
-        return _perturbed(*known, flown)  # pyright: ignore[reportArgumentType]: frozen models have a hash
+        known = scenario.orbit, scenario.drag, scenario.sun.target_area_to_mass
+        return _perturbed(*known, parts, flown)  # pyright: ignore[reportArgumentType]: frozen models have a hash
     mu = orbits.EARTH_GRAVITATIONAL_PARAMETER
     a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
     # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
@@ -168,13 +157,14 @@ def _density(drag: DragEntry, radius: float) -> float:
 
 @functools.lru_cache(maxsize=8)
 def _perturbed(
-    entry: OrbitEntry, drag: DragEntry, sunlight: orbits.SolarPressure | None, duration: float
+    entry: OrbitEntry, drag: DragEntry, area: float, parts: tuple[orbits.Perturbation, ...], duration: float
 ) -> OrbitBounds:
+    """Bound a perturbed orbit over `duration` s; `area` is that of the target in sunlight over its mass, m²/kg."""
     mu, spin = orbits.EARTH_GRAVITATIONAL_PARAMETER, orbits.EARTH_ROTATION_RATE
     steps = min(max(math.ceil(duration), 1), _MOST_STEPS)
     half = 0.5 * duration / steps
-    position, velocity = _path(entry, _perturbations(entry, drag, sunlight), duration / steps, steps)
-    shone = 0.0 if sunlight is None else orbits.SOLAR_PRESSURE * sunlight.target_area_to_mass
+    position, velocity = _path(entry, parts, duration / steps, steps)
+    shone = orbits.SOLAR_PRESSURE * area
     distance, speed = np.linalg.norm(position, axis=1), np.linalg.norm(velocity, axis=1)
     momentum = np.linalg.norm(np.cross(position, velocity), axis=1)
     radial = np.abs(np.einsum("ij,ij->i", position, velocity)) / distance
@@ -305,10 +295,4 @@ def _turned(
 
 @eqx.filter_jit
 def _rates(motion: RelativeMotion, start: MotionState, period: jax.Array, steps: int) -> jax.Array:
-    def advance(state: MotionState, _: None) -> tuple[MotionState, jax.Array]:
-        # The chaser is put back beside the target: its own way is nobody's concern here.
-        after = motion.step(state, jnp.zeros(3), NoDisturbance(), period, 1.0)
-        after = eqx.tree_at(lambda s: (s.position, s.velocity), after, (start.position, start.velocity))
-        return after, jnp.linalg.norm(state.angular_velocity)
-
-    return jax.lax.scan(advance, start, length=steps + 1)[1]
+    return motion.of_target(lambda state: jnp.linalg.norm(state.angular_velocity), start, period, steps)

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
-from keepout.core.audit.audit import Audit, Contact, ExactMesh, audit_campaign
+from keepout.core.audit.audit import AUDITED, Audit, Contact, ExactMesh, Limits, audit_campaign
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.control.law import ControlStatus
 from keepout.core.flight import loop
@@ -446,10 +446,6 @@ def record_of(
     )
 
 
-AUDITED = ("time", "position", "velocity", "force", "guard_status")
-"""Columns of a log that the audit looks at."""
-
-
 def fly_audited(
     scenario: Scenario,
     target: ExactMesh,
@@ -511,20 +507,9 @@ def judge(
 
     """
     chaser, around = scenario.chaser, Surroundings(scenario)
-    return audit_campaign(
-        log["time"][0],
-        log["position"],
-        log["velocity"],
-        log["force"],
-        target,
-        guard_status=log["guard_status"],
-        chaser_radius=chaser.radius,
-        bounds=around.flight_bounds if bounds is None else bounds,
-        force_limit=chaser.force_limit,
-        speed_limit=chaser.speed_limit,
-        regions=regions(around),
-        tolerance=tolerance,
-    )
+    limits = Limits(chaser.radius, chaser.force_limit, chaser.speed_limit)
+    bounds = around.flight_bounds if bounds is None else bounds
+    return audit_campaign(log, target, limits, bounds, regions=regions(around), tolerance=tolerance)
 
 
 LAYERS: Mapping[str, type[IntEnum]] = {"control": ControlStatus, "guard": GuardStatus}

@@ -21,6 +21,7 @@ from keepout.core.mission.approach import LegPlan, has_rules, law_of_legs, requi
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.zones import zoned
+from keepout.core.motion.chaser import Chaser
 from keepout.core.progress import Progress, silent
 
 _CIRCULATIONS = {
@@ -45,7 +46,7 @@ def operation(around: Surroundings, error_bound: float) -> Operation:
     """
     scenario = around.scenario
     return Operation(
-        chaser=around.chaser,
+        chaser=Chaser(**scenario.chaser.model_dump()),
         motion=around.motion,
         error_bound=error_bound,
         disturbance_bound=around.disturbance_bound,

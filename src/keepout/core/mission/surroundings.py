@@ -22,7 +22,7 @@ from keepout.core.mission.first_look import refuse_disturbance, require_thruster
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion import disturbance as pushes
 from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
-from keepout.core.motion.chaser import Chaser, ThrusterModel, Thrusters
+from keepout.core.motion.chaser import ThrusterModel, Thrusters
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 from keepout.core.motion.relative import RelativeMotion
 from keepout.core.plug_ins import load
@@ -183,11 +183,6 @@ class Surroundings:
         bound = self.largest_disturbance if declared is None else declared
         refuse_disturbance(bound, self.scenario.chaser.force_limit)
         return bound
-
-    @property
-    def chaser(self) -> Chaser:
-        """The chaser's body: mass, radius, thrusters and speed limit."""
-        return Chaser(**self.scenario.chaser.model_dump())
 
     @cached_property
     def faults(self) -> Faults:

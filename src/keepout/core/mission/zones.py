@@ -5,9 +5,8 @@ clear of the mesh is proved so here.
 """
 
 import functools
-import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,33 +14,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from keepout.core.audit import zones as judged
-from keepout.core.audit.tube import lengths
-from keepout.core.audit.zones import Region, Signed
-from keepout.core.compiled.kept_executables import kept_jit
+from keepout.core.audit.zones import Region
 from keepout.core.errors import MeshError, ScenarioError
 from keepout.core.fields import zones as shapes
-from keepout.core.fields.field import PIECE, Field, in_pieces
+from keepout.core.fields.field import Field, in_pieces
 from keepout.core.fields.zones import ClearRoom, SweptCone, Zone, ZonedField
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.hulls import Hulls, hulls_of
+from keepout.core.geometry.octree import CORNERS, SQRT3
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.task_entries import SHAPES, CorridorEntry, LegEntry, ZoneEntry
 from keepout.core.motion import rotation
 from keepout.core.motion.arrays import Scalar, as_float64
-from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
-Points = Float[np.ndarray, "points 3"]
-Numbers = Float[np.ndarray, "points"]
-Nearest = Callable[[Points, Int[np.ndarray, "points"], Numbers, Numbers], tuple[Numbers, Numbers]]
-"""Of points (m) on drifts, by their index, so many s after these began: the least distance at that time, m.
-
-With it a lower bound, 1-Lipschitz in the point, for as many s before and after as are given.
-"""
 _TURN = math.radians(5.0)
 """Between two rotations that stand for a turning zone, at most, unless that would pass `_MOST_MOMENTS`."""
 _MOST_MOMENTS = 256
@@ -51,8 +41,6 @@ _FINEST = 2e-3
 """Metres: half the side of the smallest cubes by which room is proved clear."""
 _MOST_CUBES = 500_000
 """That are halved at a time."""
-_FEW = 64
-"""Places, up to which no whole piece of them is asked for."""
 
 
 def named(kind: str, entry: LegEntry | ZoneEntry | CorridorEntry, number: int) -> str:
@@ -96,15 +84,10 @@ def mesh_of(zone: ZoneEntry, name: str) -> Hulls:
     return found
 
 
-def go_time(scenario: Scenario) -> float:
-    """Give the time, s, until which what stands until "go" stands: of the first such leg."""
-    return next((leg.go_at for leg in scenario.leg if leg.go_at is not None), math.inf)
-
-
 def ends(scenario: Scenario, zone: ZoneEntry) -> float:
-    """Give the time, s, at which a zone ends; infinite where it does not."""
+    """Give the time, s, at which a zone ends; infinite where it does not. "go" is that of the first such leg."""
     if zone.until == "go":
-        return go_time(scenario)
+        return next((leg.go_at for leg in scenario.leg if leg.go_at is not None), math.inf)
     return math.inf if zone.until is None else zone.until
 
 
@@ -148,7 +131,7 @@ def turning(around: Surroundings, zone: ZoneEntry) -> Turning:
             f"zone: axes {zone.axes!r} turn by {math.degrees(angle):.0f} degrees against the body while it stands; "
             f"at most {math.degrees(0.4 * _MOST_MOMENTS):.0f} are followed. Give it start and until"
         )
-    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps + 1))
+    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps))
     stands = [*range(first, max(last, first + 1), each)]
     middles = [min(step + each // 2, scenario.steps) for step in stands]
     until = [(step + each) * period for step in stands[:-1]] + [end]
@@ -156,8 +139,8 @@ def turning(around: Surroundings, zone: ZoneEntry) -> Turning:
 
 
 @eqx.filter_jit
-def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> Float[Array, "steps 3 3"]:
-    """Give the axes ← body rotations at every control step, by the flight's own model of the target's turning."""
+def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> Float[Array, "moments 3 3"]:
+    """Give the axes ← body rotations at the start and after each step, by the flight's own model of the target."""
 
     def here(state: MotionState) -> Float[Array, "3 3"]:
         vvlh_from_body = rotation.matrix(state.attitude).T
@@ -167,13 +150,7 @@ def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> 
         moved = motion.orbit.inertial_state(state.time) if orbit is None else (orbit[:3], orbit[3:])
         return rotation.vvlh_axes(*moved).T @ vvlh_from_body
 
-    def step(state: MotionState, _: None) -> tuple[MotionState, Float[Array, "3 3"]]:
-        # Only what turns is followed; the chaser stays where it is.
-        after = motion.step(state, jnp.zeros(3), NoDisturbance(), period, 1.0)
-        held = eqx.tree_at(lambda s: (s.position, s.velocity), after, (state.position, state.velocity))
-        return held, here(state)
-
-    return jax.lax.scan(step, motion.initial_state(jnp.zeros(3), jnp.zeros(3)), length=steps)[1]
+    return motion.of_target(here, motion.initial_state(jnp.zeros(3), jnp.zeros(3)), period, steps)
 
 
 def zone_shape(zone: ZoneEntry) -> shapes.Shape:
@@ -219,7 +196,7 @@ def zones_judged(around: Surroundings) -> list[Region]:
         rotations = np.eye(3)[None]
         if entry.axes != "body":
             rotations = np.asarray(
-                _followed(around.motion, entry.axes, as_float64(scenario.control.period), scenario.steps + 1)
+                _followed(around.motion, entry.axes, as_float64(scenario.control.period), scenario.steps)
             )
         if entry.file is None:
             distance = getattr(judged, entry.shape)(**_parts(entry))
@@ -237,60 +214,6 @@ def zones_judged(around: Surroundings) -> list[Region]:
             )
         )
     return found
-
-
-def with_zones(distance: Signed, around: Surroundings, begun: Float[np.ndarray, "drifts"]) -> Nearest:
-    """Give the least of a mesh's distance and of those to zones that have not ended when drifts begin (s).
-
-    These count until the drift is over, as nobody says "go" any more. A zone that turns by ψ or less against its axes
-    at a moment is nearer by at most ψ‖p‖ (docs/guard.md, section 9).
-    """
-    zones, period = zones_judged(around), around.scenario.control.period
-
-    def nearest(
-        points: Points, drifts: Int[np.ndarray, "points"], since: Numbers, about: Numbers
-    ) -> tuple[Numbers, Numbers]:
-        found = distance(points)
-        least, time = found, begun[drifts] + since
-        for zone in zones:
-            moment = np.minimum(np.rint(time / period).astype(int), len(zone.rotations) - 1)
-            away = zone.distance(np.einsum("nij,nj->ni", zone.rotations[moment], points))
-            turned = zone.rate * (about + 0.5 * period)
-            nearer = (away - turned * lengths(points)) / (1.0 + turned)
-            stood = begun[drifts] < zone.until
-            found = np.where(stood & (time >= zone.start), np.minimum(found, away), found)
-            least = np.where(stood & (time + about >= zone.start), np.minimum(least, nearer), least)
-        return found, least
-
-    return nearest
-
-
-class MeshAndZones:
-    """The least of a mesh's distance and of those to a scenario's zones, m: negative in a zone, and 1-Lipschitz.
-
-    A zone counts with all the room that it takes at any time of the flight, as law and guard ask it at the start.
-    """
-
-    def __init__(self, mesh: Distance, around: Surroundings) -> None:
-        self._mesh = mesh
-        zones = tuple(standing_zone(around, entry, 0.0) for entry in around.scenario.zone)
-        self._nearest = functools.partial(_nearest, zones)
-
-    def distance(self, points: Points) -> Numbers:
-        """Give it of points (m)."""
-        size = _FEW if len(points) <= _FEW else PIECE
-        return np.minimum(self._mesh.distance(points), in_pieces(self._nearest, points, size))
-
-
-def mesh_and_zones(mesh: Distance, around: Surroundings) -> Distance | MeshAndZones:
-    """Give the distance to both, or the mesh's own where the scenario has no zones."""
-    return MeshAndZones(mesh, around) if around.scenario.zone else mesh
-
-
-@kept_jit
-def _nearest(zones: tuple[Zone | SweptCone, ...], points: Float[Array, "points 3"]) -> Float[Array, "points"]:
-    start = as_float64(0.0)
-    return jax.vmap(lambda point: jnp.min(jnp.stack([zone.value(point, start) for zone in zones])))(points)
 
 
 def _parts(zone: ZoneEntry) -> dict[str, Any]:
@@ -331,7 +254,7 @@ def _swept(around: Surroundings, zone: ZoneEntry, shift: float) -> SweptCone | N
     if zone.shape != "cone" or any(zone.centre or ()) or not around.turning_rate(zone.axes):
         return None
     period, last = scenario.control.period, ends(scenario, zone)
-    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps + 1))
+    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps))
     axes = np.einsum("kij,i->kj", rotations, unit(zone.axis or ()))
     about = np.array([0.0, 1.0 if zone.axes == "inertial" else -1.0, 0.0])
     level = axes @ about
@@ -389,9 +312,8 @@ def require_clear(beside: shapes.Beside, clear_from: float, distance: Distance, 
     """
     depth = jax.jit(jax.vmap(lambda point: beside.depth(point, as_float64(clear_from))))
     half, centres = float(beside.length), np.asarray(beside.port)[None]
-    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     while len(centres):
-        reach, room = math.sqrt(3.0) * half, in_pieces(depth, centres)
+        reach, room = SQRT3 * half, in_pieces(depth, centres)
         centres, room = centres[room > -reach], room[room > -reach]
         away = distance.distance(centres)
         near = away - reach <= needed
@@ -409,5 +331,5 @@ def require_clear(beside: shapes.Beside, clear_from: float, distance: Distance, 
                 f"{name}: clear_from {clear_from:g} m: whether the mesh is {needed:g} m away is open in more than "
                 f"{_MOST_CUBES} cubes of {2000.0 * half:.0f} mm; begin farther out, or make the corridor narrower"
             )
-        centres = (centres[near][:, None] + 0.5 * half * corners).reshape(-1, 3)
+        centres = (centres[near][:, None] + 0.5 * half * CORNERS).reshape(-1, 3)
         half *= 0.5

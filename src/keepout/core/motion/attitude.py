@@ -14,14 +14,11 @@ from keepout.core.motion.arrays import NumbersLike, Vector, as_float64
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER, OrbitalFrame
 from keepout.core.motion.rotation import Quaternion
 
+_normalised = jax.jit(rotation.normalise)
+
 
 def _unit(value: NumbersLike) -> Array:
     return _normalised(as_float64(value))
-
-
-@jax.jit
-def _normalised(quaternion: Quaternion) -> Quaternion:
-    return quaternion / jnp.linalg.norm(quaternion)
 
 
 class AttitudeMotion(eqx.Module):

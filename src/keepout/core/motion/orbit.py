@@ -47,15 +47,11 @@ class Perturbation(eqx.Module):
 class J2(Perturbation):
     """The Earth's oblateness, the same for both spacecraft (Vallado, Fundamentals of Astrodynamics, section 8.7)."""
 
-    coefficient: float = EARTH_J2
-    equatorial_radius: float = EARTH_EQUATORIAL_RADIUS
-    gravitational_parameter: float = EARTH_GRAVITATIONAL_PARAMETER
-
     def of_target(self, position: Vector, velocity: Vector) -> Vector:
         """Acceleration at an ECI position, m/s²."""
         radius_squared = position @ position
         radius = jnp.sqrt(radius_squared)
-        strength = 1.5 * self.coefficient * self.gravitational_parameter * self.equatorial_radius**2 / radius**5
+        strength = 1.5 * EARTH_J2 * EARTH_GRAVITATIONAL_PARAMETER * EARTH_EQUATORIAL_RADIUS**2 / radius**5
         polar = 5 * position[2] ** 2 / radius_squared
         return strength * position * (polar - jnp.array([1.0, 1.0, 3.0]))
 
@@ -89,12 +85,10 @@ class Drag(_ByArea):
     density: float
     altitude: float
     scale_height: float
-    equatorial_radius: float = EARTH_EQUATORIAL_RADIUS
-    rotation_rate: float = EARTH_ROTATION_RATE
 
     def _per_area_to_mass(self, position: Vector, velocity: Vector) -> Vector:
-        air = velocity - self.rotation_rate * jnp.array([-position[1], position[0], 0.0])
-        height = jnp.linalg.norm(position) - self.equatorial_radius - self.altitude
+        air = velocity - EARTH_ROTATION_RATE * jnp.array([-position[1], position[0], 0.0])
+        height = jnp.linalg.norm(position) - EARTH_EQUATORIAL_RADIUS - self.altitude
         return -0.5 * self.density * jnp.exp(-height / self.scale_height) * jnp.linalg.norm(air) * air
 
 

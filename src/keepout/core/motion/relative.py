@@ -1,5 +1,6 @@
 """Motion of the chaser relative to the target, in the target's turning body frame, exact in the point-mass field."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -10,10 +11,10 @@ from jaxtyping import Array, Float
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.errors import ScenarioError
 from keepout.core.motion import rotation
-from keepout.core.motion.arrays import NumbersLike, Scalar, Vector, as_float64
+from keepout.core.motion.arrays import NumbersLike, Scalar, T, Vector, as_float64
 from keepout.core.motion.attitude import AttitudeMotion, VVLHFixed
 from keepout.core.motion.chaser import Departure, Pulses
-from keepout.core.motion.disturbance import Disturbance
+from keepout.core.motion.disturbance import Disturbance, NoDisturbance
 from keepout.core.motion.orbit import Orbit, OrbitalFrame, Perturbation, perturbed_frame, target_acceleration
 from keepout.core.motion.rotation import Quaternion, vvlh_axes
 
@@ -145,6 +146,19 @@ class RelativeMotion(eqx.Module):
             return end
         position, velocity, _ = departure.at(jnp.asarray(duration, jnp.float64))
         return end.moved(position, velocity)
+
+    def of_target(self, look: Callable[[MotionState], T], start: MotionState, period: float | Scalar, steps: int) -> T:
+        """Give what `look` sees of a state's target at the start and after each of some steps of `period` s.
+
+        The chaser is put back to where it was: its own way is nobody's concern here.
+        """
+
+        def advance(state: MotionState, _: None) -> tuple[MotionState, T]:
+            after = self.step(state, jnp.zeros(3), NoDisturbance(), period, 1.0)
+            held = eqx.tree_at(lambda s: (s.position, s.velocity), after, (state.position, state.velocity))
+            return held, look(state)
+
+        return jax.lax.scan(advance, start, length=steps + 1)[1]
 
     def _departure(self, state: MotionState, pulses: Pulses, mass: float | Scalar) -> Departure:
         frame = self.orbital_frame(state)

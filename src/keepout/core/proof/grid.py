@@ -101,8 +101,7 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
     bound = _largest_excess(field, distance, float(chaser_radius))
     spline = joined_spline(field)
     slope = grid_slope(field, spline)
-    generator = np.random.default_rng(seed)
-    points = level_points(distance, chaser_radius, 100_000, generator)
+    points = level_points(distance, chaser_radius, 100_000, np.random.default_rng(seed))
     sampled = float(values(field, points).max()) - chaser_radius
     return model.certified(
         "certified",

@@ -225,6 +225,23 @@ def _forward(
     return layers
 
 
+@kernel(error_model="numpy", inline="always")
+def _off_line(q, low, high, low_slope, high_slope, beta):
+    """Give the largest and the least σ' - q z from low to high: at the ends, or where σ'' = β σ' (1 - σ') = q."""
+    above = max(low_slope - q * low, high_slope - q * high)
+    below = min(low_slope - q * low, high_slope - q * high)
+    small = 2.0 * q / beta / (1.0 + np.sqrt(max(1.0 - 4.0 * q / beta, 0.0)))
+    if small > 0.0:
+        place = (np.log(small) - np.log1p(-small)) / beta
+        if low <= place <= high:
+            below = min(below, small - q * place)
+            above = max(above, small - q * place)
+        if low <= -place <= high:
+            below = min(below, 1.0 - small + q * place)
+            above = max(above, 1.0 - small + q * place)
+    return above, below
+
+
 @kernel(error_model="numpy")
 def _relax(columns, tangents, remainder, beta):
     """Relax σ and σ' of every neuron over every box; see `_Layer` and `bounds`."""
@@ -257,21 +274,10 @@ def _relax(columns, tangents, remainder, beta):
             high_value, high_slope = softplus(beta * high)
             low_value, high_value = low_value / beta, high_value / beta
 
-            # σ' - q z is extreme at the ends, or where σ'' = β σ' (1 - σ') = q.
             narrow = beta * width < 1e-6  # there differences are rounding; any q and any chord are sound
             q = beta * high_slope * (1.0 - high_slope) if narrow else (high_slope - low_slope) / width
             q = min(max(q, 0.0), 0.25 * beta)
-            above = max(low_slope - q * low, high_slope - q * high)
-            below = min(low_slope - q * low, high_slope - q * high)
-            small = 2.0 * q / beta / (1.0 + np.sqrt(max(1.0 - 4.0 * q / beta, 0.0)))
-            if small > 0.0:
-                place = (np.log(small) - np.log1p(-small)) / beta
-                if low <= place <= high:
-                    below = min(below, small - q * place)
-                    above = max(above, small - q * place)
-                if low <= -place <= high:
-                    below = min(below, 1.0 - small + q * place)
-                    above = max(above, 1.0 - small + q * place)
+            above, below = _off_line(q, low, high, low_slope, high_slope, beta)
             s = 0.5 * (above + below) + q * centre
             slope[i, j], bend[i, j], steepest[i, j] = s, q, high_slope + slack
             wobble[i, j] = 0.5 * (above - below) + q * rho + slack

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 
-from keepout.core.audit.audit import Audit, Contact
+from keepout.core.audit.audit import AUDITED, Audit, Contact
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.compiled.kept_programs import processor
 from keepout.core.errors import ScenarioError
@@ -27,7 +27,7 @@ from keepout.core.guard.guard import Guard
 from keepout.core.guard.start import starts_certified
 from keepout.core.kept import digest
 from keepout.core.mission.build import Mission
-from keepout.core.mission.flight import AUDITED, Flight, judge, judged, legs_flown, record_of
+from keepout.core.mission.flight import Flight, judge, judged, legs_flown, record_of
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent

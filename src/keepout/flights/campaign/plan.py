@@ -19,7 +19,7 @@ import numpy as np
 
 import keepout
 from keepout.core.control.geodesic import Geodesic
-from keepout.core.control.guidance import Guidance, GuidancePlan, Point
+from keepout.core.control.guidance import Guidance, GuidancePlan, Point, Travel
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.field import Field
 from keepout.core.fields.model import FieldModel
@@ -171,28 +171,17 @@ class _Remembered(GuidancePlan):
         assert isinstance(plan, LegPlan)
         return replace(self, plan=plan)
 
-    def guidance(
-        self,
-        field: Field,
-        offset: float,
-        goal: Point,
-        *,
-        speed: float,
-        slowing_length: float,
-        start: Point | None = None,
-        progress: Progress = silent,
-    ) -> Guidance:
+    def guidance(self, field: Field, offset: float, goal: Point, travel: Travel) -> Guidance:
         """Make the guidance, or give the one made before its speed and slowing length."""
-        how = {"speed": speed, "slowing_length": slowing_length, "start": start, "progress": progress}
         key = (
             self.field_sha256,
             float(offset),
             tuple(np.asarray(goal).tolist()),
-            None if start is None else tuple(np.asarray(start).tolist()),
+            None if travel.start is None else tuple(np.asarray(travel.start).tolist()),
             *self.plan.identity(field),
         )
-        made: Guidance = self.shelf.get(key, lambda: self.plan.guidance(field, offset, goal, **how))
-        return self.plan.again(made, speed, slowing_length)
+        made: Guidance = self.shelf.get(key, lambda: self.plan.guidance(field, offset, goal, travel))
+        return self.plan.again(made, travel.speed, travel.slowing_length)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from jaxtyping import Float
 
-from keepout.core.audit.audit import Audit
+from keepout.core.audit.audit import AUDITED, Audit
 from keepout.core.audit.tube import FlightBounds, Tube
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import FlightError, KeepoutError
@@ -22,7 +22,7 @@ from keepout.core.fields.zones import ZonedField
 from keepout.core.flight.record import EXPLORED, FlightRecord
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.target import Target
-from keepout.core.mission.flight import AUDITED, Flight, judge
+from keepout.core.mission.flight import Flight, judge
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.progress import Progress, part_of, silent

@@ -13,11 +13,6 @@ from keepout.core.geometry.mesh_files.ply import read_ply
 from keepout.core.geometry.mesh_files.three_mf import read_three_mf
 from keepout.core.plug_ins import load, names
 
-
-def _added(suffix: str) -> Callable[[Path], MeshContents]:
-    return lambda path: load("mesh_readers", suffix)(path)
-
-
 READERS: dict[str, Callable[[Path], MeshContents]] = {
     ".glb": read_gltf,
     ".gltf": read_gltf,
@@ -26,8 +21,6 @@ READERS: dict[str, Callable[[Path], MeshContents]] = {
     ".ply": read_ply,
     ".off": read_off,
     ".3mf": read_three_mf,
-    **{suffix: _added(suffix) for suffix in names("mesh_readers")},
+    **{suffix: lambda path, suffix=suffix: load("mesh_readers", suffix)(path) for suffix in names("mesh_readers")},
 }
 """By file suffix. Each raises `MeshError` with the reason alone; the caller names the file."""
-
-__all__ = ["READERS", "MeshContents"]
