@@ -179,7 +179,9 @@ def audit(
     bounds: FlightBounds,
     force_limit: float,
     speed_limit: float,
-    **asked: Any,
+    regions: Sequence[Region] = (),
+    tolerance: float = 1e-3,
+    consistency: float = 1e-6,
 ) -> Audit:
     """Judge one flight against the exact mesh.
 
@@ -192,7 +194,9 @@ def audit(
         bounds: on what the record does not hold.
         force_limit: per axis, N.
         speed_limit: on the norm, m/s.
-        **asked: `regions`, `tolerance` and `consistency` of `audit_campaign`.
+        regions: that must not be entered.
+        tolerance: how close to the truth the clearance bound is driven, m.
+        consistency: what the flight's own integrator may err by in a step, m.
 
     Raises:
         FlightError: the record cannot be read as a flight.
@@ -201,7 +205,8 @@ def audit(
     guard = getattr(record, "guard_status", None)
     log = {name: np.asarray(getattr(record, name), float)[None] for name in AUDITED[:4]}
     log |= {} if guard is None else {"guard_status": np.asarray(guard)[None]}
-    return audit_campaign(log, target, Limits(chaser_radius, force_limit, speed_limit), bounds, **asked)[0]
+    limits, fine = Limits(chaser_radius, force_limit, speed_limit), {"tolerance": tolerance, "consistency": consistency}
+    return audit_campaign(log, target, limits, bounds, regions=regions, **fine)[0]
 
 
 def audit_campaign(
