@@ -194,12 +194,12 @@ class OnBoard:
         self.restart(estimate)
 
         try:
-            first = jax.jit(told.memories)(self._numbers, told.none, self._clock.sent)
-            packed, self._unpack = ravel_pytree(first)
+            memory = self._memory = jax.eval_shape(told.memories, self._numbers, told.none, self._clock.sent)
+            packed, self._unpack = ravel_pytree(jax.tree.map(lambda of: np.zeros(of.shape, of.dtype), memory))
         except TypeError as error:
             raise ControlError(f"on board: the memory of law and guard must be arrays of numbers: {error}") from None
         size = self._size = len(packed)
-        self._estimate, self._memory = estimate, jax.eval_shape(lambda: first)
+        self._estimate = estimate
         step = self._stepped_by(told)
         given = jax.eval_shape(step, packed, told.none).size - size
 
@@ -209,7 +209,7 @@ class OnBoard:
             return jnp.concatenate([ravel_pytree(told.memories(estimate, numbers, under_way))[0], jnp.zeros(given)])
 
         self._begin = jax.jit(begin).lower(self._numbers, told.none, self._clock.sent).compile()
-        self._whole = jnp.concatenate([packed, jnp.zeros(given)])
+        self._whole = jnp.zeros(size + given)  # what is remembered is written by the first step
         self._latest = np.asarray(self._whole)
         self._step, self.one_kernel = compiled(step, self._whole, told.none)
 

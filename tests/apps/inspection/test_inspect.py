@@ -18,7 +18,7 @@ from keepout.core.mission.scenario import Scenario
 
 pytestmark = pytest.mark.long
 
-RADIUS, STAND_OFF = 0.4, 1.2
+RADIUS, STAND_OFF = 0.5, 1.2
 """Of the chaser, and what it keeps from the built-in box, m."""
 SCENARIO = {
     "name": "look",

@@ -23,7 +23,7 @@ from keepout.flights.requirements import judged
 
 pytestmark = pytest.mark.long
 
-RADIUS, STAND_OFF = 0.4, 1.2
+RADIUS, STAND_OFF = 0.5, 1.2
 START = (5.0, 0.5, 0.3)
 WALL = {"name": "wall", "shape": "box", "lower": (-40.0, -40.0, -40.0), "upper": (40.0, -2.0, 40.0)}
 """Beside the side y = -1.5 m of the box: every place that sees this side is less than the stand-off from it."""

@@ -306,22 +306,26 @@ def _cheapest(lower, upper, centres, order, start, end):
             low, high = min(low, centres[order[i], axis]), max(high, centres[order[i], axis])
         if not high - low > 1e-12 * max(abs(low), abs(high)):
             continue
-        counts[:] = 0
-        bins[:, :3], bins[:, 3:] = np.inf, -np.inf
+        for b in range(_BINS):
+            counts[b] = 0
+            for k in range(3):
+                bins[b, k], bins[b, 3 + k] = np.inf, -np.inf
         for i in range(start, end):
             j = order[i]
             b = _bin_of(centres[j, axis], low, high)
             counts[b] += 1
             for k in range(3):
                 bins[b, k], bins[b, 3 + k] = min(bins[b, k], lower[j, k]), max(bins[b, 3 + k], upper[j, k])
-        box[:3], box[3:] = np.inf, -np.inf
+        for k in range(3):
+            box[k], box[3 + k] = np.inf, -np.inf
         number = 0
         for b in range(_BINS - 1, 0, -1):
             number += counts[b]
             for k in range(3):
                 box[k], box[3 + k] = min(box[k], bins[b, k]), max(box[3 + k], bins[b, 3 + k])
             after[b] = number * _half_area(box) if number > 0 else np.inf
-        box[:3], box[3:] = np.inf, -np.inf
+        for k in range(3):
+            box[k], box[3 + k] = np.inf, -np.inf
         number = 0
         for b in range(_BINS - 1):
             number += counts[b]
@@ -363,11 +367,12 @@ def _split(lower, upper, centres, order, boxes, children, first):
     # Start, end, level, and the node and side whose child this is.
     waiting = np.empty((DEEPEST, 5), dtype=np.int64)
     nodes, leaves, depth = 0, 0, 1
-    waiting[0] = (0, len(order), 0, -1, 0)
+    waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3], waiting[0, 4] = 0, len(order), 0, -1, 0
     box = np.empty(6)
     while depth > 0:
         depth -= 1
-        start, end, level, parent, side = waiting[depth]
+        start, end, level = waiting[depth, 0], waiting[depth, 1], waiting[depth, 2]
+        parent, side = waiting[depth, 3], waiting[depth, 4]
         _box_of(lower, upper, order, start, end, box)
         middle = _part(lower, upper, centres, order, start, end, level, _half_area(box))
         if middle == end:
@@ -377,16 +382,19 @@ def _split(lower, upper, centres, order, boxes, children, first):
         else:
             child = nodes
             nodes += 1
-            waiting[depth] = (middle, end, level + 1, child, 1)
-            waiting[depth + 1] = (start, middle, level + 1, child, 0)
+            waiting[depth, 0], waiting[depth, 1], waiting[depth, 4] = middle, end, 1
+            waiting[depth + 1, 0], waiting[depth + 1, 1], waiting[depth + 1, 4] = start, middle, 0
+            for k in range(2):
+                waiting[depth + k, 2], waiting[depth + k, 3] = level + 1, child
             depth += 2
         if parent >= 0:
             children[parent, side] = child
-            boxes[parent, side] = box
+            for k in range(6):
+                boxes[parent, side, k] = box[k]
         elif child < 0:
             # One leaf is all there is: a node whose second child is empty.
             nodes = 1
             children[0, 0], children[0, 1] = child, child
-            boxes[0, 0] = box
-            boxes[0, 1, :3], boxes[0, 1, 3:] = np.inf, -np.inf
+            for k in range(6):
+                boxes[0, 0, k], boxes[0, 1, k] = box[k], np.inf if k < 3 else -np.inf
     return nodes, leaves

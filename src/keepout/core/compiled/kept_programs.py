@@ -48,10 +48,11 @@ class KeptProgramsWarning(UserWarning):
 def keep_programs() -> Path | None:
     """Have JAX keep what this process compiles, and take what an earlier one has compiled.
 
-    Called by what compiles much: `prepare` (so by `fly` and `campaign`), `OnBoard`, `fit`, `certify`, and by
-    `keepout replay`. Importing Keepout changes nothing. Later calls do nothing. JAX has one such folder a process, so
-    that other programs compiled in it from then on are kept there too. A folder that JAX was already given
-    (`jax_compilation_cache_dir`), or keeping switched off there (`jax_enable_compilation_cache`), is left as it is.
+    Called by what compiles much: `prepare` (so by `fly` and `campaign`), `OnBoard`, `fit`, `certify`, and by what draws
+    surfaces, `keepout replay` and `keepout report`. Importing Keepout changes nothing. Later calls do nothing. JAX has
+    one such folder a process, so that other programs compiled in it from then on are kept there too. A folder that JAX
+    was already given (`jax_compilation_cache_dir`), or keeping switched off there (`jax_enable_compilation_cache`), is
+    left as it is.
 
     Returns:
         The folder in use; None where it is left to JAX, switched off or refused.

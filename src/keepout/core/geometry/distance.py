@@ -310,10 +310,10 @@ def _split(triangles, centres, order):
     right, first, amount = np.full(nodes, -1), np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)
     waiting = np.empty((128, 3), dtype=np.int64)  # start, end, parent whose second child this is (or -1)
     depth, used = 1, 0
-    waiting[0] = (0, len(order), -1)
+    waiting[0, 0], waiting[0, 1], waiting[0, 2] = 0, len(order), -1
     while depth > 0:
         depth -= 1
-        start, end, parent = waiting[depth]
+        start, end, parent = waiting[depth, 0], waiting[depth, 1], waiting[depth, 2]
         node = used
         used += 1
         if parent >= 0:
@@ -339,8 +339,8 @@ def _split(triangles, centres, order):
         for i in range(start, end):
             order[i] = part[by[i - start]]
         middle = (start + end) // 2
-        waiting[depth] = (middle, end, node)
-        waiting[depth + 1] = (start, middle, -1)
+        waiting[depth, 0], waiting[depth, 1], waiting[depth, 2] = middle, end, node
+        waiting[depth + 1, 0], waiting[depth + 1, 1], waiting[depth + 1, 2] = start, middle, -1
         depth += 2
     return lower[:used], upper[:used], right[:used], first[:used], amount[:used]
 

@@ -270,7 +270,9 @@ def _root(parent, i):
 @kernel()
 def _connected(child, depth, index, level, chosen, seeds):
     """Chosen cells that are connected to a chosen seed through faces of chosen cells: union-find with path halving."""
-    parent = np.arange(len(level)).astype(np.int32)
+    parent = np.empty(len(level), dtype=np.int32)
+    for a in range(len(level)):
+        parent[a] = a
     for a in range(len(level)):
         if not chosen[a]:
             continue
@@ -306,7 +308,9 @@ def _connected(child, depth, index, level, chosen, seeds):
 @kernel()
 def _ends_of_walks(child, depth, index, level, undecided, d, gradient, unit, jumps):
     """See `Cells.ends_of_walks`; `unit` is the side of the deepest level's cells in metres."""
-    end = np.arange(len(level)).astype(np.int32)
+    end = np.empty(len(level), dtype=np.int32)
+    for a in range(len(level)):
+        end[a] = a
     limit = 1 << depth
     for a in range(len(level)):
         if not undecided[a] or d[a] <= 0.0:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.ticker import MaxNLocator
 
+from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.mission.task_entries import RequireEntry
 from keepout.core.progress import Progress, part_of, silent
@@ -88,6 +89,7 @@ def report_campaign(
         KeepoutError: it is no campaign's folder, nothing of it is done, or a file is damaged.
 
     """
+    keep_programs()  # a surface that the campaign has cut for its own page is not cut again
     reading = read_campaign(folder, progress=part_of(progress, 0.0, 0.1))
     found = results(reading, progress=part_of(progress, 0.1, 0.6))
     bands = reading.bands(part_of(progress, 0.6, 0.8))
