@@ -60,7 +60,7 @@ class Command(eqx.Module):
     leg: Int[Array, ""] | None = None
 
     @classmethod
-    def of_force(cls, force: Vector) -> "Command":
+    def of_force(cls, force: Vector | Float[np.ndarray, "3"]) -> "Command":
         """Give the answer of a law that has a force (N, body axes) to tell and nothing else.
 
         The disturbance estimate is zero, and whatever the law has no word of is not a number.
@@ -70,7 +70,7 @@ class Command(eqx.Module):
 
         """
         unknown, nominal = jnp.full(3, jnp.nan), jnp.asarray(ControlStatus.NOMINAL, jnp.int32)
-        return cls(force, unknown, unknown, jnp.zeros(3), unknown[0], unknown[0], unknown[0], nominal)
+        return cls(jnp.asarray(force), unknown, unknown, jnp.zeros(3), unknown[0], unknown[0], unknown[0], nominal)
 
 
 class Condition(NamedTuple):

@@ -138,8 +138,8 @@ class ClassK(eqx.Module):
     rate: Scalar
     braking: Scalar | None = None
 
-    def __call__(self, barrier: Scalar) -> Scalar:
-        """Return α(h)."""
+    def __call__(self, barrier: Float[Array, "*barriers"]) -> Float[Array, "*barriers"]:
+        """Return α(h), of each h where there are several."""
         if self.braking is None:
             return self.rate * barrier
         knee = self.braking / self.rate

@@ -321,7 +321,7 @@ class ZonedField(Field):
     def zone_values(self, point: Vector) -> Float[Array, "zones"]:
         """Give each zone's signed distance from a point (m), m: ∞ of one that has ended; −∞ where the point is none."""
         near = within_numbers(point)
-        return of_places(point, jnp.stack([zone.value(near, self.time) for zone in self.zones]))
+        return jnp.stack([of_places(point, zone.value(near, self.time)) for zone in self.zones])
 
     def _least(self, point: Vector) -> Scalar:
         """Of all zones, finite wherever the point is; −∞ where the point is none."""
