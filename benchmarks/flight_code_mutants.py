@@ -303,8 +303,8 @@ MUTANTS: dict[str, list[tuple[str, str, str]]] = {
         ("first error whole", "(error * error) / 5.0;", "(error * error);"),
         (
             "moved before the start",
-            "(memory->steps > (KEEPOUT_LATENCY - i))",
-            "(memory->steps >= (KEEPOUT_LATENCY - i))",
+            "memory->steps > (KEEPOUT_LATENCY - i);",
+            "memory->steps >= (KEEPOUT_LATENCY - i);",
         ),
         ("settled a period late", "        if (i == 0) {\n", "        if (i == KEEPOUT_LATENCY) {\n"),
         ("command acts at once", "(delay > 0) ? memory->pending[0] : force, acting", "force, acting"),

@@ -155,7 +155,9 @@ MUTANTS = {
     "flights/campaign/results.py": [
         ("undecided not counted", "touched | undecided", "touched & undecided", "results:rates"),
     ],
-    "flights/campaign/run.py": [("best kept for worst", "[runs]))][:keep", "[runs]))][::-1][:keep", "campaign:worst")],
+    "flights/campaign/flying.py": [
+        ("best kept for worst", "clearance))][:keep]", "clearance))][::-1][:keep]", "campaign:worst"),
+    ],
     "core/control/velocity_program.py": [("wrong side of the plane", "(along + rate)", "(along - rate)", "cone:half")],
     "core/control/velocity.py": [("faster than it can brake", "(2.0 * self.auth", "(4.0 * self.auth", "controller")],
     "core/control/controller.py": [("error adds to the barrier", "barrier - square", "barrier + square", "tracking")],

@@ -8,6 +8,8 @@ from collections import namedtuple
 from pathlib import Path
 from types import SimpleNamespace
 
+import flight_code_mutants
+import mutants
 import numpy as np
 import pytest
 import reach
@@ -19,6 +21,15 @@ from keepout.core.mission.scenario import Scenario
 ROOT = Path(__file__).parents[2]
 BENCHMARKS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py"))
 WITHOUT_OPTIONS = {"fields"}
+
+
+def test_each_mutant_changes_a_text_that_occurs_once():
+    python, c = ROOT / "src/keepout", ROOT / "src/keepout/apps/flight_code/sources"
+    every = [(python / one.file, one.text) for one in mutants.mutants()]
+    every += [(c / file, text) for file, some in flight_code_mutants.MUTANTS.items() for _, text, _ in some]
+    wrong = [(path.name, text) for path, text in every if path.read_text(encoding="utf-8").count(text) != 1]
+    assert len(every) > 100
+    assert not wrong
 
 
 @pytest.mark.long
