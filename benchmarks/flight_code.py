@@ -13,6 +13,7 @@ With `--out` what each part has reached is put into a file, from which docs/resu
 import argparse
 import collections
 import datetime
+import functools
 import json
 import platform
 import subprocess
@@ -41,8 +42,8 @@ QUICK = (
 
 SAMPLED = 300
 """Steps of a closed loop by samples."""
-ROW = "compared.json"
-"""In a mission's folder: what the comparison with Python has shown."""
+ROW, LOOPS = "compared.json", "loops.json"
+"""In a mission's folder: what the comparison with Python has shown, and how far apart closed loops have ended."""
 Rows = list[dict[str, Any]]
 
 
@@ -51,12 +52,7 @@ def answers(options: argparse.Namespace) -> Rows:
     names = list(MISSIONS)[: options.missions] if options.missions else list(QUICK)
     missions = []
     for name in names:
-        place = folder_of(name, options.kept) / ROW
-        if place.is_file():
-            row = json.loads(place.read_text(encoding="utf-8"))
-        else:
-            row = _compared(name, options)
-            place.write_text(json.dumps(row, ensure_ascii=False), encoding="utf-8")
+        row = _once(folder_of(name, options.kept) / ROW, functools.partial(_compared, name, options))
         missions.append(row)
         print(json.dumps({key: value for key, value in row.items() if key not in ("listed", "crossed")}), flush=True)
     steps, differ, beyond = (
@@ -138,21 +134,39 @@ def _compared(name: str, options: argparse.Namespace) -> dict[str, Any]:
     return row
 
 
+def _once(place: Path, make: Callable[[], Any]) -> Any:
+    """Give what a file keeps as JSON, or make it and keep it."""
+    if not place.is_file():
+        made = make()
+        place.write_text(json.dumps(made, ensure_ascii=False), encoding="utf-8")
+    return json.loads(place.read_text(encoding="utf-8"))
+
+
+def _looped(name: str, options: argparse.Namespace) -> Any:
+    """Fly a mission's closed loops; how far apart they end is kept beside its code."""
+
+    def fly() -> Any:
+        flown = exported(name, options.kept)
+        if flown.made.mission.setup.navigation is not None:
+            return navigation.sampled_loops(flown, navigation.SampledFlights(flown.made), SAMPLED)
+        loops = pulsed_loops if isinstance(flown.made.mission.setup.thrusters, OnOffThrusters) else closed_loops
+        return loops(flown, Flights(flown.made), CLOSED)
+
+    found = _once(folder_of(name, options.kept) / LOOPS, fly)
+    print(json.dumps({"mission": name, "closed loops": found}), flush=True)
+    return found
+
+
 def loops(options: argparse.Namespace, folders: list[Path]) -> Rows:
-    """Fly closed loops of the first missions, each code its own."""
-    ends, pulsed, sensed, rows = [], [], [], []
+    """Fly closed loops of the first missions, each code its own; one that is in `--kept` is not flown again."""
     there = [name for name in MISSIONS if folder_of(name, options.kept) in folders]
     layouts = [name for name in there if MISSIONS[name].get("thrusters", {}).get("layout", "ideal") != "ideal"]
     suites = [name for name in there if "navigation" in MISSIONS[name]]
-    for name in suites[: options.loops]:
-        flown = exported(name, options.kept)
-        sensed.append(navigation.sampled_loops(flown, navigation.SampledFlights(flown.made), SAMPLED))
-    for name in [name for name in there if name not in layouts + suites][: options.loops]:
-        flown = exported(name, options.kept)
-        ends.append(closed_loops(flown, Flights(flown.made)))
-    for name in layouts[: options.loops]:
-        flown = exported(name, options.kept)
-        pulsed.append(pulsed_loops(flown, Flights(flown.made), CLOSED))
+    ideal = [name for name in there if name not in layouts + suites]
+    sensed, ends, pulsed = (
+        [_looped(name, options) for name in some[: options.loops]] for some in (suites, ideal, layouts)
+    )
+    rows: Rows = []
     if ends:
         reached = f"{len(ends) * FLIGHTS} flights, missions: {len(ends)}, {CLOSED} steps: {max(ends):.1e} m"
         rows.append(_row("closed loops, each its own", "20 missions, 3,000 steps: ≤ 1e-10 m", reached))

@@ -164,11 +164,11 @@ class Flights:
             answer = order, tuple(map(np.asarray, given)), np.asarray(status)
             yield Step(before, estimate, estimates_of(estimate), *answer, memory)
 
-    def closed(self, rng: np.random.Generator) -> tuple[Any, np.ndarray, Any]:
+    def closed(self, rng: np.random.Generator, steps: int) -> tuple[Any, np.ndarray, Any]:
         """Fly whole flights, told the truth, under constant forces: where they begin, the forces (N), their ends."""
         start, pushes = self.begun(rng)
         flown = self.under(start, pushes)
-        for _ in range(CLOSED):
+        for _ in range(steps):
             state = next(flown)
         return start, pushes, state
 
@@ -309,10 +309,10 @@ def _nudged(flown: Exported, memory: np.ndarray, estimate: np.ndarray) -> float:
     return most
 
 
-def closed_loops(flown: Exported, flights: Flights) -> float:
+def closed_loops(flown: Exported, flights: Flights, steps: int) -> float:
     """Fly whole flights by both codes, each on its own: how far apart they end, m."""
-    start, pushes, end = flights.closed(np.random.default_rng(2))
-    flown_by_c = flown.code.fly(estimates_of(start), pushes, CLOSED)
+    start, pushes, end = flights.closed(np.random.default_rng(2), steps)
+    flown_by_c = flown.code.fly(estimates_of(start), pushes, steps)
     return float(np.abs(flown_by_c["position"] - np.asarray(end.position)).max())
 
 

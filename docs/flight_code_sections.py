@@ -28,7 +28,8 @@ def flight_code() -> list[str]:
     words = [
         "`make flight-code`, and with more of everything the commands of `python benchmarks/flight_code.py --help`; "
         "discussed in [On board](on-board.md#flight-code-in-c). Differences of numbers are over their size and 1e-3 of "
-        "their unit in random steps, and over their size and 1 of their unit in states of the guard.",
+        "their unit in random steps, and over their size and 1 of their unit in states of the guard. Each component is "
+        "taken by itself: 1e-14 N of one near zero counts as 1e-11, however large the others are.",
     ]
     lines = measured("Flight code in C", words, rows, ROWS)
     lines += note("flight_code")
