@@ -32,6 +32,7 @@ from flight_code_directed import Directed
 from flight_code_missions import MISSIONS, exported, folder_of
 from flight_code_states import CLOSED, FLIGHTS, TOGETHER, Flights, closed_loops, compared, pulsed_loops
 
+from keepout.core.whole_file import write_whole
 from keepout.flights.thrusters.on_off import OnOffThrusters
 
 QUICK = (
@@ -137,8 +138,7 @@ def _compared(name: str, options: argparse.Namespace) -> dict[str, Any]:
 def _once(place: Path, make: Callable[[], Any]) -> Any:
     """Give what a file keeps as JSON, or make it and keep it."""
     if not place.is_file():
-        made = make()
-        place.write_text(json.dumps(made, ensure_ascii=False), encoding="utf-8")
+        write_whole(place, json.dumps(make(), ensure_ascii=False))
     return json.loads(place.read_text(encoding="utf-8"))
 
 

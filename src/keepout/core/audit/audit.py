@@ -205,8 +205,8 @@ def audit(
     guard = getattr(record, "guard_status", None)
     log = {name: np.asarray(getattr(record, name), float)[None] for name in AUDITED[:4]}
     log |= {} if guard is None else {"guard_status": np.asarray(guard)[None]}
-    limits, fine = Limits(chaser_radius, force_limit, speed_limit), {"tolerance": tolerance, "consistency": consistency}
-    return audit_campaign(log, target, limits, bounds, regions=regions, **fine)[0]
+    limits = Limits(chaser_radius, force_limit, speed_limit)
+    return audit_campaign(log, target, limits, bounds, regions=regions, tolerance=tolerance, consistency=consistency)[0]
 
 
 def audit_campaign(
