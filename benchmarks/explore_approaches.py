@@ -116,7 +116,7 @@ def approach(target, centre, radius, generator, views=VIEWS):
     while True:
         foot = surface_points(target.distance, 1, generator, by_area=0.5)
         away = generator.normal(size=(1, 3))
-        end, arrived = towards_level(target.distance, foot + 0.5 * away, generator.uniform(2.0, 3.0))
+        end, arrived, _ = towards_level(target.distance, foot + 0.5 * away, generator.uniform(2.0, 3.0))
         if not arrived[0] or np.linalg.norm(end[0] - centre) > radius:
             continue
         end, foot = end[0], target.distance.closest(end)[1][0]

@@ -75,7 +75,7 @@ def flight(name, seed, *, spacing, duration):
         feet = surface_points(target.distance, 2000, generator, by_area=0.5)
         if near_moved:
             feet = feet[panel.expected.distance.distance(feet) > _MOVED]
-        goals, arrived = towards_level(target.distance, feet + 0.5 * generator.normal(size=feet.shape), GOAL_AWAY)
+        goals, arrived, _ = towards_level(target.distance, feet + 0.5 * generator.normal(size=feet.shape), GOAL_AWAY)
         goals = goals[arrived & outside(goals) & (np.linalg.norm(goals - centre, axis=1) < radius)]
         if len(goals):
             break

@@ -114,7 +114,7 @@ def fit(
     profile: Annotated[
         str,
         typer.Option(
-            help="default, fine (twice the steps), quick (rough), paper (its network, its loss), "
+            help="default, fine (two to four times the work), quick (rough), paper (its network, its loss), "
             "paper_printed (its loss as printed)."
         ),
     ] = "default",

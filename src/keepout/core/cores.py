@@ -42,7 +42,7 @@ def available_cores() -> int:
     return len(allowed_cores()) or os.cpu_count() or 1
 
 
-def share_among_cores(work: Callable[[slice], None], count: int, *, chunk: int = 8192) -> None:
+def share_among_cores(work: Callable[[slice], None], count: int, *, chunk: int = 2048) -> None:
     """Call `work` for slices that together cover 0 to `count`, on all cores; it must release the interpreter's lock."""
     parts = [slice(start, start + chunk) for start in range(0, count, chunk)]
     if len(parts) <= 1 or available_cores() == 1:

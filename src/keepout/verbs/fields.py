@@ -37,7 +37,7 @@ def fit(
 
     Args:
         target: a `Target`, a built-in target's name, a mesh or map file, or a scenario, whose target.
-        profile: "default", "fine" (twice the steps), "quick" (rough), "paper" or "paper_printed"; or a
+        profile: "default", "fine" (two to four times the work), "quick" (rough), "paper" or "paper_printed"; or a
             `TrainingProfile`.
         chaser_radius: of the ball that holds the chaser, m; a scenario's own, and else 0.5, if absent.
         certify: then prove by how much the field over-states the distance (e_h, m), for this radius.

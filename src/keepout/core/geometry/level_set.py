@@ -45,27 +45,33 @@ def random_directions(generator: np.random.Generator, count: int) -> Points:
 
 def towards_level(
     distance: ExactDistance, points: Points, level: float
-) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, "n"]]:
-    """Points moved along the distance's gradient to {d = level}, and which of them arrive there, to 1e-9 m.
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
+    """Points moved along the distance's gradient to {d = level}, which of them arrive there, to 1e-9 m, and normals.
 
-    Those that take more than a few steps are between two surfaces and zigzag; hardly one arrives later.
+    Those that take more than a few steps are between two surfaces and zigzag; hardly one arrives later. The normals are
+    the level set's, unit vectors; on the surface itself those of the triangles, whichever way they are wound.
     """
     if level == 0.0:
-        return distance.closest(points)[1], np.ones(len(points), bool)
-    points, away = points.copy(), np.arange(len(points))
+        _, points, faces = distance.closest(points)
+        a, b, c = np.moveaxis(distance.vertices[distance.faces[faces]], 1, 0)
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        return points, np.ones(len(points), bool), normal
+    points, away, normal = points.copy(), np.arange(len(points)), np.empty(np.shape(points))
     for _ in range(6):
-        d, gradient = distance.distance_and_gradient(points[away])
+        d, normal[away] = distance.distance_and_gradient(points[away])
         short = np.abs(level - d) >= 1e-9
+        points[away[short]] += ((level - d)[:, None] * normal[away])[short]
         away = away[short]
-        points[away] += ((level - d)[:, None] * gradient)[short]
     arrived = np.ones(len(points), bool)
-    arrived[away] = np.abs(distance.distance(points[away]) - level) < 1e-9
-    return points, arrived
+    d, normal[away] = distance.distance_and_gradient(points[away])
+    arrived[away] = np.abs(d - level) < 1e-9
+    return points, arrived, normal
 
 
 def onto_level(distance: ExactDistance, points: Points, level: float) -> Float[np.ndarray, "m 3"]:
     """Points moved along the distance's gradient onto {d = level}; those that do not arrive are left out."""
-    points, arrived = towards_level(distance, points, level)
+    points, arrived, _ = towards_level(distance, points, level)
     return points[arrived]
 
 

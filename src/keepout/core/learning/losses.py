@@ -40,6 +40,7 @@ class TrainingProfile:
         width, depth: hidden layers.
         start: of the weights: "he" (He et al. 2015), or "geometric" (Atzmon, Lipman 2020): about the distance to half
             the unit ball, as the method has it that the paper builds on.
+        first_scale: of the first layer's weights, over He's: the larger, the finer is what a network begins with.
         beta: sharpness of the softplus, in normalised units.
         samples: labelled points.
         batch: points a step.
@@ -72,15 +73,16 @@ class TrainingProfile:
     width: int = 96
     depth: int = 4
     start: Literal["he", "geometric"] = "he"
+    first_scale: float = 1.84
     beta: float = 100.0
-    samples: int = 600_000
-    batch: int = 2048
-    steps: int = 4_000
-    tuning_steps: int = 2_000
+    samples: int = 300_000
+    batch: int = 1536
+    steps: int = 2_500
+    tuning_steps: int = 1_250
     polish_steps: int = 300
     webs: int = 500
-    near: float = 0.15
-    room_share: float = 0.0
+    near: float = 0.2
+    room_share: float = 0.45
     optimizer: Literal["adam", "muon"] = "muon"
     learning_rate: float = 5e-3
     adam_b2: float = 0.99
@@ -114,7 +116,9 @@ class TrainingProfile:
         return dataclasses.replace(self, near_field=max(self.near_field, radius + BEYOND_CONTACT))
 
 
+_FINE: dict[str, int] = {"samples": 600_000, "batch": 2048}
 _STATION = TrainingProfile(
+    **_FINE,
     width=160,
     depth=5,
     steps=5_000,
@@ -139,12 +143,17 @@ _PAPER = TrainingProfile(
     adam_b2=0.999,
     halving=2000,
     gradient_weight=0.1,
+    first_scale=math.sqrt(1.5),
+    room_share=0.0,
 )
 
 PROFILES: dict[str, TrainingProfile] = {
     "default": TrainingProfile(large=_STATION),
     "fine": TrainingProfile(
-        steps=8_000, tuning_steps=4_000, large=dataclasses.replace(_STATION, steps=10_000, tuning_steps=7_000)
+        **_FINE,
+        steps=8_000,
+        tuning_steps=4_000,
+        large=dataclasses.replace(_STATION, steps=10_000, tuning_steps=7_000),
     ),
     "quick": TrainingProfile(width=48, depth=3, samples=60_000, steps=1000, tuning_steps=250, polish_steps=150),
     "paper": _PAPER,

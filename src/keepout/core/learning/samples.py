@@ -21,8 +21,10 @@ HIDDEN_DEPTH = 0.1
 """Metres. In space that no chaser reaches, Keepout's loss only asks the field to stay below minus this (or the exact
 value nearer by)."""
 ON_LEVEL, NEAR = 50_000, 200_000
-"""Candidates on the surface, as on the chaser's contact surface, new ones every round; and those in the room next to
+"""Candidates on the surface, as on the chaser's contact surface, drawn anew every round; and those in the room next to
 the surface (`Domain.room`), at most: of the labelled samples, and they stay."""
+POOL = 150_000
+"""Points of the contact surface that are drawn from: to find one takes three closest points."""
 WORST, ROUNDS_KEPT = 1500, 3
 """Over-statements of each kind that a round keeps, and the rounds that are learned from."""
 CLIMBERS = 4096
@@ -159,6 +161,7 @@ class Hunt:
         domain: of the field.
         chaser_radius: metres.
         near: labelled points near the surface.
+        touching: points where the chaser touches, of which each round draws; none for a chaser that is a point.
         profile: the numbers of the fit.
 
     """
@@ -167,23 +170,31 @@ class Hunt:
     domain: Domain
     chaser_radius: float
     near: Samples
+    touching: Float[np.ndarray, "m 3"]
     profile: TrainingProfile
 
     @classmethod
     def prepare(
-        cls, solid: OffsetSolid, domain: Domain, chaser_radius: float, profile: TrainingProfile, samples: Samples
+        cls,
+        solid: OffsetSolid,
+        domain: Domain,
+        chaser_radius: float,
+        profile: TrainingProfile,
+        samples: Samples,
+        generator: np.random.Generator,
     ) -> "Hunt":
         """Take the candidates that stay from what is learned: the room next to the surface, evenly picked."""
         near = np.flatnonzero(samples.distance < domain.room)
         near = near[np.linspace(0, len(near) - 1, min(NEAR, len(near))).astype(int)]
-        return cls(solid, domain, chaser_radius, samples.picked(near), profile)
+        touching, distance = np.empty((0, 3)), solid.distance
+        if isinstance(distance, ExactDistance) and chaser_radius > 0.0:
+            touching = level_points(distance, chaser_radius, POOL, generator)
+        return cls(solid, domain, chaser_radius, samples.picked(near), touching, profile)
 
     @property
     def levels(self) -> tuple[float, ...]:
         """Distances at which a chaser touches: of a point, and of the chaser if that is another."""
-        if isinstance(self.solid.distance, ExactDistance) and self.chaser_radius > 0.0:
-            return (0.0, self.chaser_radius)
-        return (0.0,)
+        return (0.0, self.chaser_radius) if len(self.touching) else (0.0,)
 
     @property
     def kept(self) -> int:
@@ -227,7 +238,11 @@ class Hunt:
         distance = self.solid.distance
         if not isinstance(distance, ExactDistance):
             return surface_points(distance, ON_LEVEL, generator)
-        new = level_points(distance, level, ON_LEVEL, generator)
+        if level == 0.0:
+            new = level_points(distance, 0.0, ON_LEVEL, generator)
+        else:
+            some = min(ON_LEVEL, len(self.touching))
+            new = self.touching[generator.choice(len(self.touching), some, replace=False, shuffle=False)]
         return np.concatenate([new, onto_level(distance, known, level)])
 
     def _climbed(
@@ -240,27 +255,23 @@ class Hunt:
         distance = self.solid.distance
         if not isinstance(distance, ExactDistance):
             return points, value
+        normal = towards_level(distance, points, level)[2]
         for step in ASCENT:
             # Along the slope, which narrow spikes need, and at random, which leads over the edges of the surface.
-            uphill = _tangential(distance, points, level, learner.gradient(points))
+            uphill = _tangential(learner.gradient(points), normal)
             for move in (uphill, generator.normal(size=points.shape)):
-                moved, arrived = towards_level(distance, points + step * move, level)
+                moved, arrived, across = towards_level(distance, points + step * move, level)
                 moved_value = np.where(arrived, learner.value(moved), -np.inf)
                 higher = moved_value > value
-                points, value = np.where(higher[:, None], moved, points), np.where(higher, moved_value, value)
+                points, normal = (
+                    np.where(higher[:, None], new, old) for new, old in ((moved, points), (across, normal))
+                )
+                value = np.where(higher, moved_value, value)
         return points, value
 
 
-def _tangential(
-    distance: ExactDistance, points: Points, level: float, gradient: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Return the directions in which the field rises fastest along the level set: unit vectors."""
-    if level > 0.0:
-        normal = distance.distance_and_gradient(points)[1]
-    else:
-        a, b, c = np.moveaxis(distance.vertices[distance.faces[distance.closest(points)[2]]], 1, 0)
-        normal = np.cross(b - a, c - a)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+def _tangential(gradient: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Return the directions along a level set, of these normals, in which a field rises fastest: unit vectors."""
     along = gradient - (gradient * normal).sum(axis=1, keepdims=True) * normal
     return along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Float32, Int
 
 from keepout.core.compiled.in_batches import in_chunks
 from keepout.core.compiled.kept_programs import keep_programs
-from keepout.core.compiled.xla import NO_LIBRARIES, WIDE
+from keepout.core.compiled.xla import WIDE
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
 from keepout.core.fields.continuation import Domain
@@ -88,7 +88,7 @@ def fit(
 
     Args:
         target: what to learn.
-        profile: "default", "fine" (twice the steps), "quick" (rough), "paper" or "paper_printed"; or a
+        profile: "default", "fine" (two to four times the work), "quick" (rough), "paper" or "paper_printed"; or a
             `TrainingProfile`.
         chaser_radius: metres; where a chaser of this radius touches, over-statement is hunted as it is on the surface.
         seed: the same seed, target and profile on the same machine give the same field.
@@ -127,7 +127,7 @@ def fit(
     samples = label(solid, points, whole_depth=numbers.loss != "keepout")
     hunt = None
     if numbers.tuning_steps or numbers.polish_steps:
-        hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, samples)
+        hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, samples, generator)
     data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
     seconds = {"solid": sealed - start, "labels": time.perf_counter() - sealed, "hunts": 0.0, "steps": 0.0}
     pace = Pace(numbers, ending, start)
@@ -288,7 +288,7 @@ def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: in
         weights[-1] = jnp.full((1, width), math.sqrt(math.pi / width), jnp.float32)
         biases[-1] = jnp.full(1, -0.5, jnp.float32)
     else:
-        weights[0] = weights[0] * jnp.float32(math.sqrt(1.5))
+        weights[0] = weights[0] * jnp.float32(profile.first_scale)
         weights[-1] = weights[-1] * jnp.float32(0.5)
         biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
     layers = neural.Layers(tuple(weights), tuple(biases))
@@ -350,7 +350,7 @@ def _hidden_matrices(layers: Any) -> Any:
     return neural.Layers(weights, biases)
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=NO_LIBRARIES)
+@functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=WIDE)
 def _train_round(
     profile: losses.TrainingProfile,
     hard: int,
