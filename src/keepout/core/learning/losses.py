@@ -116,11 +116,11 @@ class TrainingProfile:
         return dataclasses.replace(self, near_field=max(self.near_field, radius + BEYOND_CONTACT))
 
 
-_FINE: dict[str, int] = {"samples": 600_000, "batch": 2048}
 _STATION = TrainingProfile(
-    **_FINE,
     width=160,
     depth=5,
+    samples=600_000,
+    batch=2048,
     steps=5_000,
     tuning_steps=3_500,
     webs=300,
@@ -150,7 +150,8 @@ _PAPER = TrainingProfile(
 PROFILES: dict[str, TrainingProfile] = {
     "default": TrainingProfile(large=_STATION),
     "fine": TrainingProfile(
-        **_FINE,
+        samples=600_000,
+        batch=2048,
         steps=8_000,
         tuning_steps=4_000,
         large=dataclasses.replace(_STATION, steps=10_000, tuning_steps=7_000),
