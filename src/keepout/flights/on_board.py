@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
@@ -200,8 +201,8 @@ class OnBoard:
             raise ControlError(f"on board: the memory of law and guard must be arrays of numbers: {error}") from None
         size = self._size = len(packed)
         self._estimate = estimate
-        step = self._stepped_by(told)
-        given = jax.eval_shape(step, packed, told.none).size - size
+        traced, after = jax.make_jaxpr(self._stepped_by(told), return_shape=True)(packed, told.none)
+        given = after.size - size
 
         def begin(
             estimate: Float[Array, " m"], numbers: Float[Array, " k"], under_way: Float[Array, "steps 3"]
@@ -211,7 +212,9 @@ class OnBoard:
         self._begin = jax.jit(begin).lower(self._numbers, told.none, self._clock.sent).compile()
         self._whole = jnp.zeros(size + given)  # what is remembered is written by the first step
         self._latest = np.asarray(self._whole)
-        self._step, self.one_kernel = compiled(step, self._whole, told.none)
+        self._step, self.one_kernel = compiled(
+            lambda whole, numbers: jaxpr_as_fun(traced)(whole[:size], numbers)[0], self._whole, told.none
+        )
 
     def ready(self, setup: FlightSetup) -> Callable[[], None]:
         """Compile the step of another setup, and give what lets it lead from the next step on, at once.
