@@ -173,7 +173,7 @@ def loops(options: argparse.Namespace, folders: list[Path]) -> Rows:
         flights = [flight for mission in ends for flight in mission]
         near = [by_c for by_c, own in flights if own <= TO_ITSELF]
         parted = [flight for flight in flights if flight[1] > TO_ITSELF]
-        asked = f"20 missions, 3,000 steps: ≤ 1e-10 m where Python ends within {TO_ITSELF:.0e} m of itself"
+        asked = "20 missions, 3,000 steps: ≤ 1e-10 m"
         reached = (
             f"{len(flights)} flights, missions: {len(ends)}, {CLOSED} steps; Python with positions a last bit off "
         )

@@ -46,9 +46,9 @@ def fits_by_seed() -> list[str]:
         "fit_over_sgemm": "fit over its products",
     }
     words = [
-        "`python benchmarks/fits.py TARGET --seeds 3 [--profile quick]`, on a GPU the same. Margin: e_h − (f̃ − d) over "
-        "{d = R}, which a flight loses. The first fit of a profile and size compiles. The last column is the time over "
-        "that of the matrix products alone, at the rate measured in the same run.",
+        "`python benchmarks/fits.py TARGET --seeds 3 [--profile quick]`, on a GPU the same; turned wings: `--second`. "
+        "Margin: e_h − (f̃ − d) over {d = R}, which a flight loses. The first fit of a profile and size compiles. The "
+        "last column is the time over that of the matrix products alone, at the rate measured in the same run.",
         *note("fit_seeds"),
     ]
     return measured("Fits by seed", words, kept_file("fit_seeds"), columns)

@@ -7,12 +7,13 @@ import scipy.spatial
 import trimesh
 from scipy.integrate import dblquad
 
+from keepout.apps.reproduction.fitted import gradient_errors
 from keepout.core.errors import FieldError, MeshError
 from keepout.core.fields.own import SphereField
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target, enclosed_volume
-from keepout.core.measures.quality import gradient_errors, summarised, surface_errors
+from keepout.core.measures.quality import summarised, surface_errors
 from keepout.flights.surface import (
     Ellipsoid,
     Surface,

@@ -201,6 +201,7 @@ class OnBoard:
             raise ControlError(f"on board: the memory of law and guard must be arrays of numbers: {error}") from None
         size = self._size = len(packed)
         self._estimate = estimate
+        # Traced once, and compiled from that below: how much a step gives is known only by then.
         traced, after = jax.make_jaxpr(self._stepped_by(told), return_shape=True)(packed, told.none)
         given = after.size - size
 

@@ -9,12 +9,13 @@ import numpy as np
 
 from keepout.apps.reproduction.work import Work
 from keepout.core.fields import load_shipped
+from keepout.core.fields.field import Field, values_and_gradients
 from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning.losses import PROFILES, TrainingProfile
 from keepout.core.learning.training import fit
-from keepout.core.measures.quality import gradient_errors
+from keepout.core.measures.quality import exterior_band
 from keepout.core.proof.certificate import certify, sample_certificate
 from keepout.flights.surface import default_spacing
 
@@ -171,3 +172,35 @@ def shown_fields(work: Work, target: Target, *, certified: bool) -> dict[str, Fi
         if model is not None:
             fields[recipe.label] = model
     return fields
+
+
+@dataclasses.dataclass(frozen=True)
+class GradientErrors:
+    """‖∇d - ∇f̃‖ on exterior points in one band of d, where ∇d is defined: the paper's e_∇h bounds it.
+
+    Attributes:
+        mean: over the points.
+        percentile_95: likewise.
+        maximum: the largest sampled, which is no bound.
+        count: number of points.
+
+    """
+
+    mean: float
+    percentile_95: float
+    maximum: float
+    count: int
+
+
+def gradient_errors(
+    field: Field, solid: OffsetSolid, *, nearest: float, farthest: float, count: int = 50_000, seed: int = 0
+) -> GradientErrors:
+    """Measure ‖∇d - ∇f̃‖ on exterior points whose distance d from the surface is between the two limits, metres.
+
+    Points whose nearest obstacle is a sealed mouth are left out: there the field learns another distance than d. Where
+    two surfaces are equally near ∇d jumps, and next to that a smooth field must differ from it by up to about 1.
+    """
+    points, d, true_gradient = exterior_band(solid, nearest, farthest, count, np.random.default_rng(seed))
+    decided = solid.signed_distance(points) >= d - solid.envelope
+    error = np.linalg.norm(values_and_gradients(field, points[decided])[1] - true_gradient[decided], axis=1)
+    return GradientErrors(float(error.mean()), float(np.quantile(error, 0.95)), float(error.max()), len(error))

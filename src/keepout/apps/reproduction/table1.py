@@ -18,6 +18,7 @@ from keepout.apps.reproduction.fitted import (
     PRINTED,
     SHIPPED,
     TARGETS,
+    gradient_errors,
 )
 from keepout.apps.reproduction.work import Part, Table, Work
 from keepout.core.fields import load_shipped
@@ -27,7 +28,7 @@ from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
-from keepout.core.measures.quality import gradient_errors, summarised
+from keepout.core.measures.quality import summarised
 from keepout.core.proof import bounds
 
 PRINTED_TABLE = {

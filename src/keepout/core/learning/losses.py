@@ -116,11 +116,11 @@ class TrainingProfile:
         return dataclasses.replace(self, near_field=max(self.near_field, radius + BEYOND_CONTACT))
 
 
-_STATION = TrainingProfile(
+_MORE = TrainingProfile(samples=600_000, batch=2048)
+_STATION = dataclasses.replace(
+    _MORE,
     width=160,
     depth=5,
-    samples=600_000,
-    batch=2048,
     steps=5_000,
     tuning_steps=3_500,
     webs=300,
@@ -149,12 +149,8 @@ _PAPER = TrainingProfile(
 
 PROFILES: dict[str, TrainingProfile] = {
     "default": TrainingProfile(large=_STATION),
-    "fine": TrainingProfile(
-        samples=600_000,
-        batch=2048,
-        steps=8_000,
-        tuning_steps=4_000,
-        large=dataclasses.replace(_STATION, steps=10_000, tuning_steps=7_000),
+    "fine": dataclasses.replace(
+        _MORE, steps=8_000, tuning_steps=4_000, large=dataclasses.replace(_STATION, steps=10_000, tuning_steps=7_000)
     ),
     "quick": TrainingProfile(width=48, depth=3, samples=60_000, steps=1000, tuning_steps=250, polish_steps=150),
     "paper": _PAPER,

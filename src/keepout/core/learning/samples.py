@@ -159,7 +159,7 @@ class Hunt:
     Attributes:
         solid: the target's offset solid.
         domain: of the field.
-        chaser_radius: metres.
+        levels: distances at which a chaser touches, metres: of a point, and of the chaser if that is another.
         near: labelled points near the surface.
         touching: points where the chaser touches, of which each round draws; none for a chaser that is a point.
         profile: the numbers of the fit.
@@ -168,7 +168,7 @@ class Hunt:
 
     solid: OffsetSolid
     domain: Domain
-    chaser_radius: float
+    levels: tuple[float, ...]
     near: Samples
     touching: Float[np.ndarray, "m 3"]
     profile: TrainingProfile
@@ -186,15 +186,10 @@ class Hunt:
         """Take the candidates that stay from what is learned: the room next to the surface, evenly picked."""
         near = np.flatnonzero(samples.distance < domain.room)
         near = near[np.linspace(0, len(near) - 1, min(NEAR, len(near))).astype(int)]
-        touching, distance = np.empty((0, 3)), solid.distance
+        levels, touching, distance = (0.0,), np.empty((0, 3)), solid.distance
         if isinstance(distance, ExactDistance) and chaser_radius > 0.0:
-            touching = level_points(distance, chaser_radius, POOL, generator)
-        return cls(solid, domain, chaser_radius, samples.picked(near), touching, profile)
-
-    @property
-    def levels(self) -> tuple[float, ...]:
-        """Distances at which a chaser touches: of a point, and of the chaser if that is another."""
-        return (0.0, self.chaser_radius) if len(self.touching) else (0.0,)
+            levels, touching = (0.0, chaser_radius), level_points(distance, chaser_radius, POOL, generator)
+        return cls(solid, domain, levels, samples.picked(near), touching, profile)
 
     @property
     def kept(self) -> int:
@@ -263,9 +258,7 @@ class Hunt:
                 moved, arrived, across = towards_level(distance, points + step * move, level)
                 moved_value = np.where(arrived, learner.value(moved), -np.inf)
                 higher = moved_value > value
-                points, normal = (
-                    np.where(higher[:, None], new, old) for new, old in ((moved, points), (across, normal))
-                )
+                points, normal = (np.where(higher[:, None], a, b) for a, b in ((moved, points), (across, normal)))
                 value = np.where(higher, moved_value, value)
         return points, value
 

@@ -76,7 +76,7 @@ def distance_errors(
     field: Field, solid: OffsetSolid, *, nearest: float, farthest: float, count: int = 50_000, seed: int = 0
 ) -> DistanceErrors:
     """Measure f̃ - g on exterior points whose distance d from the surface is between `nearest` and `farthest` metres."""
-    points, _, _ = _exterior_band(solid, nearest, farthest, count, np.random.default_rng(seed))
+    points, _, _ = exterior_band(solid, nearest, farthest, count, np.random.default_rng(seed))
     value, gradient = values_and_gradients(field, points)
     error = value - solid.signed_distance(points)
     return DistanceErrors(
@@ -88,42 +88,10 @@ def distance_errors(
     )
 
 
-@dataclasses.dataclass(frozen=True)
-class GradientErrors:
-    """‖∇d - ∇f̃‖ on exterior points in one band of d, where ∇d is defined: the paper's e_∇h bounds it.
-
-    Attributes:
-        mean: over the points.
-        percentile_95: likewise.
-        maximum: the largest sampled, which is no bound.
-        count: number of points.
-
-    """
-
-    mean: float
-    percentile_95: float
-    maximum: float
-    count: int
-
-
-def gradient_errors(
-    field: Field, solid: OffsetSolid, *, nearest: float, farthest: float, count: int = 50_000, seed: int = 0
-) -> GradientErrors:
-    """Measure ‖∇d - ∇f̃‖ on exterior points whose distance d from the surface is between the two limits, metres.
-
-    Points whose nearest obstacle is a sealed mouth are left out: there the field learns another distance than d. Where
-    two surfaces are equally near ∇d jumps, and next to that a smooth field must differ from it by up to about 1.
-    """
-    points, d, true_gradient = _exterior_band(solid, nearest, farthest, count, np.random.default_rng(seed))
-    decided = solid.signed_distance(points) >= d - solid.envelope
-    error = np.linalg.norm(values_and_gradients(field, points[decided])[1] - true_gradient[decided], axis=1)
-    return GradientErrors(float(error.mean()), float(np.quantile(error, 0.95)), float(error.max()), len(error))
-
-
-def _exterior_band(
+def exterior_band(
     solid: OffsetSolid, nearest: float, farthest: float, count: int, generator: np.random.Generator
 ) -> tuple[Points, Float[np.ndarray, "n"], Points]:
-    """Return exterior points with d between the limits, at most `count`; their d; and its gradient."""
+    """Return up to `count` exterior points (n, 3), metres, body axes, with d between the limits; d (n,); ∇d (n, 3)."""
     start = surface_points(solid.distance, count, generator)
     direction = random_directions(generator, count)
     points = start + generator.uniform(nearest, farthest, size=(count, 1)) * direction
