@@ -52,7 +52,7 @@ gc.set_threshold(200_000, 20, 100)
 settings.register_profile(
     "random", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True, max_examples=200
 )
-settings.register_profile("fixed", parent=settings.get_profile("random"), derandomize=True, max_examples=25)
+settings.register_profile("fixed", parent=settings.get_profile("random"), derandomize=True, max_examples=15)
 settings.load_profile("fixed")
 
 MOST_MEMORY = 2.3e9

@@ -10,6 +10,7 @@ import warnings
 from pathlib import Path
 
 import pytest
+from truths.boxes import LEARNED
 from truths.command_line import Answer, keepout_command
 
 from keepout import cli
@@ -209,13 +210,20 @@ def test_a_picture_that_cannot_be_written_is_named_in_one_line(tmp_path):
 
 
 @pytest.mark.long
-def test_a_fit_that_is_stopped_says_so_in_a_line(monkeypatch, tmp_path):
-    def stopped(*_, **__):
+def test_a_fit_is_told_what_was_asked_for_and_one_that_is_stopped_says_so_in_a_line(monkeypatch, tmp_path):
+    told = {}
+
+    def stopped(target, **how):
+        told.update(how, target=target)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("keepout.core.learning.training.fit", stopped)
-    answer = keepout_command("fit", "box", "-o", tmp_path / "box.keepout", "--json")
+    asked = ("--from", LEARNED, "--until-bound", 0.02, "--at-most", 60, "--chaser-radius", 0.4, "--batch", 384)
+    answer = keepout_command("fit", "box", "-o", tmp_path / "box.keepout", *asked, "--seed", 3, "--json")
     assert (answer.code, answer.out) == (130, "")
+    assert told["target"].sha256 == told["first"].target_sha256 == FieldModel.load(LEARNED).target_sha256
+    assert told["profile"].batch == 384
+    assert [told[name] for name in ("until_bound", "at_most", "chaser_radius", "seed")] == [0.02, 60.0, 0.4, 3]
     assert answer.err.endswith("keepout: stopped\n")
     assert not (tmp_path / "box.keepout").exists()
 

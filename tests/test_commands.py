@@ -235,6 +235,7 @@ def test_a_fit_is_certified_in_the_same_command_and_no_search_beats_it(folder, f
     assert certificate.error_bound - 0.05 < worst <= certificate.error_bound
 
 
+@pytest.mark.slow  # what a fit is told is in test_cli, ends and first fields are in core/learning/test_schedule
 def test_a_fit_begins_with_another_field_and_ends_at_the_bound(folder, fitted):
     command = ("fit", "turned.toml", "-o", "second.keepout", *CHOSEN, "--from", "box.keepout", "--until-bound", 10.0)
     said = keepout_process(folder, *command, "--at-most", 600, "--json", program=ROUGH)
@@ -422,20 +423,22 @@ def test_a_campaigns_summary_is_that_of_its_rows_and_these_are_its_flights(folde
         assert row["final_error"] == pytest.approx(np.linalg.norm(record.position[-1] - [0.0, -5.0, 2.0]), abs=1e-12)
 
 
+@pytest.mark.usefixtures("coarse_surfaces")
 def test_campaign_report_compare_and_replay(folder, campaign):
+    """Those of them that are no command of their own in this process, whose libraries are there."""
     page = folder / "many" / "index.html"
     page.unlink()
-    told = told_by_process(folder, "campaign", "report", "many", program=COARSE)
+    told = keepout_command("campaign", "report", "many").out
     assert "no contact" in told
     assert "open many/index.html" in told
     assert page.exists()
-    assert keepout_process(folder, "campaign", "compare", "many", "many", "-o", "compared", "--json")["paired"]
+    assert keepout_command("campaign", "compare", "many", "many", "-o", "compared", "--json").json["paired"]
     assert (folder / "compared" / "index.html").exists()
-    assert keepout_process(folder, "report", "many", "--pdf", "-o", "many.pdf", "--json") == {"report": "many.pdf"}
-    assert (folder / "many.pdf").read_bytes().startswith(b"%PDF")
     page.unlink()
     assert keepout_process(folder, "report", "many", "--json", program=COARSE)["page"] == "many/index.html"
     assert page.exists()
+    assert keepout_command("report", "many", "--pdf", "-o", "many.pdf", "--json").json == {"report": "many.pdf"}
+    assert (folder / "many.pdf").read_bytes().startswith(b"%PDF")
     said = keepout_process(folder, "campaign", "replay", "many", "--run", 1, "--no-figures", "--json")
     assert (said["equal"], said["differences"]) == (True, {})
 

@@ -1,6 +1,8 @@
 """A box of 2 x 1 x 1 m, its closed form, and what is built of it once for all tests of a process."""
 
 import functools
+import os
+from pathlib import Path
 
 import numpy as np
 
@@ -27,11 +29,14 @@ def solid() -> OffsetSolid:
 
 @functools.cache
 def grid() -> FieldModel:
-    """A certified grid field of two levels, so that blocks of both meet."""
-    model = build_grid(target(), spacing=0.08, band=0.4, solid=solid())
-    assert len(model.field.tables) == 2
-    assert (np.asarray(model.field.tables[0]) < 0).any()
-    return certify_grid(certify_grid(model, target()), target(), chaser_radius=RADIUS)
+    """A certified grid field of two levels, so that blocks of both meet: certified once in a run of the tests."""
+    kept = Path(os.environ["JAX_COMPILATION_CACHE_DIR"], "small-box.keepout")  # the folder is new in every run
+    if not kept.exists():
+        model = build_grid(target(), spacing=0.08, band=0.4, solid=solid())
+        assert len(model.field.tables) == 2
+        assert (np.asarray(model.field.tables[0]) < 0).any()
+        certify_grid(certify_grid(model, target()), target(), chaser_radius=RADIUS).save(kept)
+    return FieldModel.load(kept, target=target())
 
 
 def distance(points: np.ndarray) -> np.ndarray:

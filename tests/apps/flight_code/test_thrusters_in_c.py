@@ -54,6 +54,7 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return Exported(request.param, made, folder, compiled_step.CompiledStep(made, folder))
 
 
+@pytest.mark.slow  # pulses of every kind of force, and the self-test, are below
 @compiler
 def test_steps_and_whole_flights_are_pythons_pulses_and_all(flown: Exported):
     flights = states.Flights(flown.made)

@@ -66,8 +66,8 @@ def test_of_all_orders_the_best_is_found(objective):
     }[objective]
 
     for seed in range(2):
-        legs = legs_among(seed, 7)
-        best = min(value(flown(legs, np.array(order))) for order in itertools.permutations(range(1, 7)))
+        legs = legs_among(seed, 6)
+        best = min(value(flown(legs, np.array(order))) for order in itertools.permutations(range(1, 6)))
         assert value(best_tour(legs, objective)) == pytest.approx(best)
 
 

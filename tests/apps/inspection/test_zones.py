@@ -101,6 +101,7 @@ def test_views_and_ways_keep_the_stand_off_from_a_zone(walled, first):
             assert box_distance(on_way).min() >= STAND_OFF - 1e-9
 
 
+@pytest.mark.slow  # the command of tests/test_commands.py flies beside one
 def test_an_inspection_enters_no_zone(walled, first):
     mission = scenario(WALL, inspect={"coverage": 0.5}, guard={"enabled": False})
     found = inspect(mission, problem=walled, first=first)

@@ -99,7 +99,7 @@ def along_a_wire():
     return explore(scenario(start={"position": [7.5, 0.0, 0.0]}), target=wired())
 
 
-@pytest.mark.long
+@pytest.mark.slow  # the map that is contradicted: test_promises; the guard that holds then: core/guard/test_guard
 def test_a_wire_that_no_ray_meets_is_named_and_what_is_seen_of_it_ends_the_flight(along_a_wire):
     found = along_a_wire
     assert any("assumption A1 (width 0.1 m) is broken" in line for line in found.assumptions_broken)
@@ -119,7 +119,7 @@ def test_a_wire_that_no_ray_meets_is_named_and_what_is_seen_of_it_ends_the_fligh
     assert np.linalg.norm(record.position[-1] - record.position[0]) < 0.6
 
 
-@pytest.mark.long
+@pytest.mark.slow  # needs the flight of the test before
 def test_a_flight_by_a_map_that_was_contradicted_says_so(along_a_wire, tmp_path):
     path = map_file.save(along_a_wire.map, tmp_path / "wired.keepmap")
     again = explore(scenario(map={"file": str(path)}, duration=20.0), target=wired())

@@ -203,7 +203,7 @@ def test_agrees_with_scs_and_clarabel():
     assert {ConeStatus.INFEASIBLE, ConeStatus.NO_WAY_OUT} <= set(status.tolist())
 
 
-@pytest.mark.long
+@pytest.mark.slow  # half-spaces beside Clarabel are in test_zone_rows, their closed form below
 def test_half_spaces_agree_with_scs_and_clarabel():
     check_against_references("paper", 60, seed=4, cone=False)
 

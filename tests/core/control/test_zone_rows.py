@@ -220,10 +220,7 @@ def _along_the_walls(step):
 @pytest.mark.long
 def test_no_velocity_jumps_where_two_zones_are_equally_near():
     places, now = _along_the_walls(1e-3), jnp.asarray(0.0)
-    rows, single = (
-        _flown(_law(FLOOR, WALL, row_per_zone=each, circulation=None, differentiate=False), places, now)
-        for each in (True, False)
-    )
+    rows, single = (_flown(_law(FLOOR, WALL, row_per_zone=each), places, now) for each in (True, False))
     steps = [np.linalg.norm(np.diff(point.velocity, axis=0), axis=1).max() for point in (rows, single)]
     assert steps[0] < 1e-3
     assert steps[1] > 0.05

@@ -126,7 +126,7 @@ def test_impossible_campaigns_are_refused():
             states_at(setup.motion, position, velocity)
 
 
-@pytest.mark.long
+@pytest.mark.slow  # forces and pulses are in flights/thrusters/test_thrusters
 def test_rows_hold_the_mean_force_and_what_it_burnt_and_the_record_keeps_it(tmp_path):
     setup = on_off(misalignment=0.02, scale_error=0.02, rise_delay=0.005)
     log = fly(setup, start_state(setup), STEPS, KEY)

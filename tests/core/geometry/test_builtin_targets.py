@@ -20,6 +20,8 @@ SIZES = {
 }
 VOLUMES = {"box": 24.0, "pocket": 6 * 4 * 6 - 5.4 * 3.7 * 5.4}
 
+STATION = pytest.param("iss", marks=pytest.mark.slow)  # of a hundred parts; the others have every kind of them
+
 
 @pytest.mark.parametrize("name", sorted(BUILTINS))
 def test_closed_single_and_of_public_size(name):
@@ -40,7 +42,7 @@ def test_the_goal_of_the_source_paper_lies_inside_harmony():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["intelsat30", "iss", "tiangong"])
+@pytest.mark.parametrize("name", ["intelsat30", STATION, "tiangong"])
 def test_wings_turn_and_stretch(name):
     flat = Target.load(name).report.extents
     upright = Target.load(name, parameters={"wing_angle": np.pi / 2}).report
@@ -65,7 +67,7 @@ def test_bad_parameters_are_named(arguments, word):
         Target.load("intelsat30", **arguments)
 
 
-@pytest.mark.parametrize("name", ["intelsat30", "iss", "tiangong", "pocket"])
+@pytest.mark.parametrize("name", ["intelsat30", STATION, "tiangong", "pocket"])
 def test_whoever_holds_its_parts_a_target_is_the_same(name):
     """As a debugger or a profiler does: a field is for these triangles, and would be refused."""
     alone, held = Target.load(name).sha256, []

@@ -60,7 +60,7 @@ def test_an_approach_holds_where_it_is_told_and_enters_nothing(flight):
     assert away[-1] < 12.0
 
 
-@pytest.mark.long
+@pytest.mark.slow  # zones of a mesh: core/geometry/test_hulls; the guard beside any field: core/guard/test_invariance
 def test_a_law_that_flies_through_is_kept_out_of_a_zone(tmp_path):
     (tmp_path / "wall.obj").write_text(
         trimesh.creation.box(bounds=[[9.0, -9.0, -9.0], [11.0, 9.0, 9.0]]).export(file_type="obj")

@@ -66,7 +66,15 @@ def turning(path):
     return np.linalg.norm(omega, axis=1), np.linalg.norm(change, axis=1)
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if case != KEPLERS])
+PARTS = ("low and round", "drag alone")
+"""Each bends "polar with drag", too: they are tried alone by `make test-all`."""
+
+
+def tried(case, *more):
+    return pytest.param(case, *more, marks=[pytest.mark.slow] if case in PARTS else [])
+
+
+@pytest.mark.parametrize("case", [tried(case) for case in CASES if case != KEPLERS])
 def test_the_frame_never_turns_faster_and_the_target_never_flies_lower(case):
     scenario = scenario_of(case)
     path, bounds = path_of(case), orbit_bounds(scenario)
@@ -82,7 +90,7 @@ def test_the_frame_never_turns_faster_and_the_target_never_flies_lower(case):
 
 @pytest.mark.parametrize(
     ("case", "attitude"),
-    [*((case, "tumbling") for case in CASES), ("polar with drag", "inertial"), ("long ellipse", "vvlh")],
+    [*(tried(case, "tumbling") for case in CASES), ("polar with drag", "inertial"), ("long ellipse", "vvlh")],
 )
 def test_no_sampled_drift_exceeds_the_bound(case, attitude):
     scenario = scenario_of(case)

@@ -213,7 +213,7 @@ class LosesItself(keepout.Law):
         return state + 1, keepout.Command.of_force(jnp.where(state > 4, jnp.nan, 0.0) * jnp.ones(3))
 
 
-@pytest.mark.long
+@pytest.mark.slow  # pages and verdicts of such rows are in flights/pages/test_scene and core/audit
 def test_a_flight_that_ends_in_no_numbers_is_told_and_kept(mission, tmp_path, coarse_surfaces):
     flight = mission.with_law(LosesItself()).fly()
     summary = json.loads(json.dumps(flight.summary(), allow_nan=False))

@@ -96,6 +96,7 @@ def test_a_run_is_the_same_in_chunks_of_another_size(scenario, flown):
     assert rows.equals(flown[0].table().slice(0, 8))
 
 
+@pytest.mark.slow  # campaigns in memory are in apps/reproduction/test_in_memory
 def test_a_campaign_in_memory_has_the_rows_of_one_in_a_folder(scenario, flown):
     made = plan_campaign(scenario).fly(batch=BATCH)
     assert made.table.equals(flown[0].table())
@@ -107,6 +108,7 @@ def test_a_campaign_in_memory_has_the_rows_of_one_in_a_folder(scenario, flown):
     assert made.summary()["flown"] == len(rows) == len(made.audits) < 22
 
 
+@pytest.mark.slow  # of one chunk: the test below
 def test_the_worst_flights_are_kept_and_no_others(plan, flown):
     dataset, _ = flown
     kept = keep_flights(plan, dataset, keep_of("worst:3"))
@@ -218,6 +220,7 @@ with dataset.lock():
 """
 
 
+@pytest.mark.slow  # parts that are missing or torn are flown again above
 def test_killed_and_started_again_it_ends_in_the_same_table(plan, flown, tmp_path):
     command = [sys.executable, "-c", PROGRAM, str(tmp_path), json.dumps(MISSION)]
     process = subprocess.Popen(command)

@@ -216,6 +216,7 @@ def test_a_film_shows_the_flight_and_a_row_of_pictures_too(page_path, tmp_path, 
     assert (np.abs(row[:, :640] - row[:, 640:]).max(axis=2) > 0.2).sum() > 100
 
 
+@pytest.mark.slow  # the same figures on sheets are in test_printed
 def test_without_scripts_and_in_print_there_are_figures(started, page_path):
     context = started.new_context(java_script_enabled=False)
     page = context.new_page()
