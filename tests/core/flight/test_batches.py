@@ -93,7 +93,7 @@ def test_flown_in_parts_or_alone_each_flight_is_the_same_to_the_bit(campaign):
     assert np.abs(part(4, 7, 0) - whole[4:]).max() > 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.slow  # flights that share some columns are beside flights alone in the tests above
 def test_shared_or_not_a_flight_is_the_same(campaign):
     setup, states, _, whole = campaign
     assert alike_among(states) == ("time", "attitude", "angular_velocity")

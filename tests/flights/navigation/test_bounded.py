@@ -88,7 +88,7 @@ def flown(name, share=1.0):
 @pytest.mark.long
 @pytest.mark.parametrize(
     "name",
-    [name if name in ("close", "late") else pytest.param(name, marks=pytest.mark.slow) for name in MADE],
+    [name if name == "close" else pytest.param(name, marks=pytest.mark.slow) for name in MADE],
 )
 def test_the_truth_is_inside_in_all_of_forty_thousand_samples(name):
     """Of each suite. And no radius is above its cap, or above the propagated."""
