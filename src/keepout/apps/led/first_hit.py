@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from keepout.core.cores import kernel
 from keepout.core.errors import MeshError
-from keepout.core.geometry.distance import Points, TriangleSoup
+from keepout.core.geometry.distance import DEEPEST, Points, TriangleSoup, tree_over
 
 Origins = Float[np.ndarray, "#n 3"]
 
@@ -25,15 +25,6 @@ _SMALLEST = 1e-200
 """Components of a direction nearer to zero than this count as this, so that no quotient is 0/0."""
 _NOTHING = np.iinfo(np.int64).min
 """In place of a child: the ray enters neither."""
-_BINS = 16
-"""Places along an axis at which a set of triangles may be split."""
-_LEAF_TRIANGLES = 2
-"""Triangles that are not split further."""
-_STEP_COST = 1.0
-"""Cost of a look at a node's two boxes over that of a look at a triangle."""
-DEEPEST = 96
-"""Levels of the tree, at most: from `_HALVED` on triangles are halved by number, whatever that costs."""
-_HALVED = 60
 
 
 class FirstHit(TriangleSoup):
@@ -254,147 +245,16 @@ class RayTree(NamedTuple):
 
 
 def build_tree(triangles: Float[np.ndarray, "f 3 3"]) -> RayTree:
-    """Build the tree of at least one triangle by the surface area heuristic over bins of the triangles' centres.
-
-    A set of triangles is split where (share of area) times (number of triangles), summed over both parts, is least: the
-    expected number of triangles that a ray looks at.
-    """
-    count = len(triangles)
-    boxes = np.empty((max(count - 1, 1), 2, 6))
-    children = np.empty((max(count - 1, 1), 2), dtype=np.int64)
-    first = np.empty(count + 1, dtype=np.int64)
-    order = np.arange(count, dtype=np.int64)
-    lower, upper = triangles.min(axis=1), triangles.max(axis=1)
-    nodes, leaves = _split(lower, upper, 0.5 * (lower + upper), order, boxes, children, first)
-    first[leaves] = count
-    corners = np.ascontiguousarray(triangles[order].reshape(count, 9))
-    return RayTree(boxes[:nodes], children[:nodes], first[: leaves + 1], corners, order)
-
-
-@kernel()
-def _box_of(lower, upper, order, start, end, box):
-    """Write the box of some triangles."""
-    for axis in range(3):
-        box[axis], box[3 + axis] = np.inf, -np.inf
-        for i in range(start, end):
-            box[axis] = min(box[axis], lower[order[i], axis])
-            box[3 + axis] = max(box[3 + axis], upper[order[i], axis])
-
-
-@kernel()
-def _half_area(box):
-    dx, dy, dz = box[3] - box[0], box[4] - box[1], box[5] - box[2]
-    return dx * dy + dy * dz + dz * dx
-
-
-@kernel()
-def _bin_of(value, low, high):
-    return min(int((value - low) * (_BINS / (high - low))), _BINS - 1)
-
-
-@kernel()
-def _cheapest(lower, upper, centres, order, start, end):
-    """Give axis, last bin of the first part, and cost (areas times numbers) of the best split; axis -1 for none."""
-    best_axis, best_bin, best_cost = -1, 0, np.inf
-    counts = np.empty(_BINS, dtype=np.int64)
-    bins = np.empty((_BINS, 6))
-    after = np.empty(_BINS)
-    box = np.empty(6)
-    for axis in range(3):
-        low, high = np.inf, -np.inf
-        for i in range(start, end):
-            low, high = min(low, centres[order[i], axis]), max(high, centres[order[i], axis])
-        if not high - low > 1e-12 * max(abs(low), abs(high)):
-            continue
-        for b in range(_BINS):
-            counts[b] = 0
-            for k in range(3):
-                bins[b, k], bins[b, 3 + k] = np.inf, -np.inf
-        for i in range(start, end):
-            j = order[i]
-            b = _bin_of(centres[j, axis], low, high)
-            counts[b] += 1
-            for k in range(3):
-                bins[b, k], bins[b, 3 + k] = min(bins[b, k], lower[j, k]), max(bins[b, 3 + k], upper[j, k])
-        for k in range(3):
-            box[k], box[3 + k] = np.inf, -np.inf
-        number = 0
-        for b in range(_BINS - 1, 0, -1):
-            number += counts[b]
-            for k in range(3):
-                box[k], box[3 + k] = min(box[k], bins[b, k]), max(box[3 + k], bins[b, 3 + k])
-            after[b] = number * _half_area(box) if number > 0 else np.inf
-        for k in range(3):
-            box[k], box[3 + k] = np.inf, -np.inf
-        number = 0
-        for b in range(_BINS - 1):
-            number += counts[b]
-            for k in range(3):
-                box[k], box[3 + k] = min(box[k], bins[b, k]), max(box[3 + k], bins[b, 3 + k])
-            cost = number * _half_area(box) + after[b + 1] if number > 0 else np.inf
-            if cost < best_cost:
-                best_axis, best_bin, best_cost = axis, b, cost
-    return best_axis, best_bin, best_cost
-
-
-@kernel()
-def _part(lower, upper, centres, order, start, end, level, area):
-    """Reorder triangles and give the first one of the second part, or `end` where they had better stay together."""
-    number = end - start
-    if number <= _LEAF_TRIANGLES:
-        return end
-    axis, last, cost = -1, 0, np.inf
-    if level < _HALVED:
-        axis, last, cost = _cheapest(lower, upper, centres, order, start, end)
-    if axis < 0:
-        return start + number // 2  # centres that are one point, or a tree that is deep: halved by number
-    if number <= 8 and cost + _STEP_COST * area >= number * area:
-        return end
-    low, high = np.inf, -np.inf
-    for i in range(start, end):
-        low, high = min(low, centres[order[i], axis]), max(high, centres[order[i], axis])
-    middle = start
-    for i in range(start, end):
-        if _bin_of(centres[order[i], axis], low, high) <= last:
-            order[i], order[middle] = order[middle], order[i]
-            middle += 1
-    return middle
-
-
-@kernel()
-def _split(lower, upper, centres, order, boxes, children, first):
-    """Fill the arrays depth first; returns the numbers of nodes and leaves."""
-    # Start, end, level, and the node and side whose child this is.
-    waiting = np.empty((DEEPEST, 5), dtype=np.int64)
-    nodes, leaves, depth = 0, 0, 1
-    waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3], waiting[0, 4] = 0, len(order), 0, -1, 0
-    box = np.empty(6)
-    while depth > 0:
-        depth -= 1
-        start, end, level = waiting[depth, 0], waiting[depth, 1], waiting[depth, 2]
-        parent, side = waiting[depth, 3], waiting[depth, 4]
-        _box_of(lower, upper, order, start, end, box)
-        middle = _part(lower, upper, centres, order, start, end, level, _half_area(box))
-        if middle == end:
-            child = ~leaves
-            first[leaves] = start
-            leaves += 1
-        else:
-            child = nodes
-            nodes += 1
-            waiting[depth, 0], waiting[depth, 1], waiting[depth, 4] = middle, end, 1
-            waiting[depth + 1, 0], waiting[depth + 1, 1], waiting[depth + 1, 4] = start, middle, 0
-            for k in range(2):
-                waiting[depth + k, 2], waiting[depth + k, 3] = level + 1, child
-            depth += 2
-        if parent >= 0:
-            children[parent, side] = child
-            for k in range(6):
-                boxes[parent, side, k] = box[k]
-        elif child < 0:
-            # One leaf is all there is: a node whose second child is empty.
-            nodes = 1
-            children[0, 0], children[0, 1] = child, child
-            for k in range(6):
-                boxes[0, 0, k], boxes[0, 1, k] = box[k], np.inf if k < 3 else -np.inf
-    return nodes, leaves
+    """Give the tree that distances are asked of, as rays go through it, for at least one triangle."""
+    tree, count = tree_over(triangles), len(triangles)
+    leaf = tree.amount > 0
+    child = np.where(leaf, ~(np.cumsum(leaf) - 1), np.cumsum(~leaf) - 1)
+    box = np.column_stack([tree.lower, tree.upper])
+    inner = np.flatnonzero(~leaf)
+    both = np.stack([inner + 1, tree.right[inner]], axis=1)
+    boxes, children = box[both], child[both]
+    if len(inner) == 0:  # one leaf is all there is: a node whose second child is empty
+        boxes, children = np.stack([box, 0.0 * box + np.repeat([np.inf, -np.inf], 3)], axis=1), child[[[0, 0]]]
+    first = np.append(tree.first[leaf], count)
+    corners = np.ascontiguousarray(triangles[tree.face].reshape(count, 9))
+    return RayTree(boxes, children, first, corners, tree.face)

@@ -18,7 +18,9 @@ Point = Float[np.ndarray, "3"]
 """A place, m, or a direction."""
 Points = Float[np.ndarray, "n 3"]
 
-_LEAF_TRIANGLES = 4
+_LEAF_TRIANGLES = 2
+DEEPEST = 128
+"""Levels of a `Tree`, at most: each side of a cut has a seventh of the triangles, of which there are less than 1e8."""
 _THIN = 0.01
 """Height over longest edge below which a triangle counts as a sliver."""
 
@@ -75,7 +77,7 @@ class ExactDistance(TriangleSoup):
     @functools.cached_property
     def tree(self) -> "Tree":
         """The triangles' bounding-volume hierarchy, built when first asked for."""
-        return _build(self.vertices[self.faces])
+        return tree_over(self.vertices[self.faces])
 
     def distance(self, points: Points) -> Float[np.ndarray, "n"]:
         """Unsigned distance in metres, one per point."""
@@ -228,10 +230,10 @@ class Tree(NamedTuple):
     face: Int[np.ndarray, "f"]
 
 
-def _build(triangles: Float[np.ndarray, "f 3 3"]) -> Tree:
-    """Build a tree by halving the triangles' centres along the longest side of their box."""
+def tree_over(triangles: Float[np.ndarray, "f 3 3"]) -> Tree:
+    """Build a tree by the surface area heuristic (Goldsmith and Salmon 1987)."""
     order = np.arange(len(triangles), dtype=np.int64)
-    lower, upper, right, first, amount = _split(triangles, triangles.mean(axis=1), order)
+    lower, upper, right, first, amount = _split(triangles.min(axis=1), triangles.max(axis=1), order)
     corners = _longest_edge_first(triangles[order])
     return Tree(lower, upper, right, first, amount, corners, _planes(corners), order)
 
@@ -303,42 +305,49 @@ def _spread(x: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
 
 
 @kernel()
-def _split(triangles, centres, order):
-    """Make a `Tree`'s nodes, depth first: lower, upper, right, first and amount. Puts `order` in the tree's order."""
-    nodes = 2 * len(order)
-    lower, upper = np.empty((nodes, 3)), np.empty((nodes, 3))
-    right, first, amount = np.full(nodes, -1), np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)
-    waiting = np.empty((128, 3), dtype=np.int64)  # start, end, parent whose second child this is (or -1)
+def _costs(low, high, order):
+    """Half the area of the box of the first triangles, times their number: of one, two, and so on to all."""
+    costs, least, most = np.empty(len(order)), np.full(3, np.inf), np.full(3, -np.inf)
+    for i in range(len(order)):
+        for axis in range(3):
+            least[axis], most[axis] = min(least[axis], low[order[i], axis]), max(most[axis], high[order[i], axis])
+        x, y, z = most - least
+        costs[i] = (i + 1) * (x * y + y * z + z * x)
+    return costs
+
+
+@kernel()
+def _split(low, high, order):
+    """Make a `Tree`'s nodes, depth first: lower, upper, right, first and amount. Puts `order` in the tree's order.
+
+    Of triangles in boxes from `low` to `high`, sorted along the longest side of their centres' box, those before and
+    after a cut make two boxes: it is cut where each box's area times its triangles add up to least.
+    """
+    lower, upper = np.empty((2 * len(order), 3)), np.empty((2 * len(order), 3))
+    right, first = np.full(len(lower), -1), np.zeros(len(lower), dtype=np.int64)
+    amount = np.zeros(len(lower), dtype=np.int64)
+    waiting = np.empty((DEEPEST, 3), dtype=np.int64)  # start, end, parent whose second child this is (or -1)
     depth, used = 1, 0
     waiting[0, 0], waiting[0, 1], waiting[0, 2] = 0, len(order), -1
     while depth > 0:
         depth -= 1
         start, end, parent = waiting[depth, 0], waiting[depth, 1], waiting[depth, 2]
-        node = used
-        used += 1
+        node, count, used = used, end - start, used + 1
         if parent >= 0:
             right[parent] = node
-        longest, widest = -1.0, 0
+        part, longest, along = order[start:end].copy(), -1.0, np.empty(count)
         for axis in range(3):
-            low, high, least, most = np.inf, -np.inf, np.inf, -np.inf
-            for i in range(start, end):
-                low, high = min(low, centres[order[i], axis]), max(high, centres[order[i], axis])
-                for corner in range(3):
-                    least = min(least, triangles[order[i], corner, axis])
-                    most = max(most, triangles[order[i], corner, axis])
-            lower[node, axis], upper[node, axis] = least, most
-            if high - low > longest:
-                longest, widest = high - low, axis
-        if end - start <= _LEAF_TRIANGLES:
-            first[node], amount[node] = start, end - start
+            centre = 0.5 * low[part, axis] + 0.5 * high[part, axis]
+            lower[node, axis], upper[node, axis] = low[part, axis].min(), high[part, axis].max()
+            if centre.max() - centre.min() > longest:
+                longest, along = centre.max() - centre.min(), centre
+        if count <= _LEAF_TRIANGLES:
+            first[node], amount[node] = start, count
             continue
-        along, part = np.empty(end - start), np.empty(end - start, dtype=np.int64)
-        for i in range(start, end):
-            along[i - start], part[i - start] = centres[order[i], widest], order[i]
-        by = np.argsort(along)
-        for i in range(start, end):
-            order[i] = part[by[i - start]]
-        middle = (start + end) // 2
+        order[start:end] = part[np.argsort(along)]
+        part, aside = order[start:end].copy(), (count + 6) // 7
+        costs = _costs(low, high, part)[:-1] + _costs(low, high, part[::-1].copy())[-2::-1]
+        middle = start + aside + np.argmin(costs[aside - 1 : count - aside])
         waiting[depth, 0], waiting[depth, 1], waiting[depth, 2] = middle, end, node
         waiting[depth + 1, 0], waiting[depth + 1, 1], waiting[depth + 1, 2] = start, middle, -1
         depth += 2
@@ -443,7 +452,7 @@ def closest_triangle(tree, x, y, z, guess, stack, bounds):
 
 @kernel()
 def _query(tree, points, order, distance, nearest, found):
-    stack, bounds = np.empty(128, dtype=np.int64), np.empty(128)
+    stack, bounds = np.empty(DEEPEST, dtype=np.int64), np.empty(DEEPEST)
     last = 0
     for i in order:
         squared, x, y, z, hit = closest_triangle(tree, points[i, 0], points[i, 1], points[i, 2], last, stack, bounds)

@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float
 
 from keepout.core.cores import kernel, share_among_cores
 from keepout.core.geometry.distance import (
+    DEEPEST,
     BallCloudDistance,
     Distance,
     ExactDistance,
@@ -165,7 +166,7 @@ def _over_cut(v, g, half, limit):
 
 @kernel()
 def _largest(tree, level, centres, half_widths, slopes, answer):
-    stack = np.empty(128, dtype=np.int64)
+    stack = np.empty(DEEPEST, dtype=np.int64)
     g = np.empty(3)
     for i in range(len(centres)):
         x, y, z = centres[i, 0], centres[i, 1], centres[i, 2]

@@ -17,8 +17,9 @@ from keepout.apps.inspection.seeing.room import Limits, Room, beam_workspace, fi
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.led.camera import axes_across
-from keepout.apps.led.first_hit import DEEPEST, RayTree
+from keepout.apps.led.first_hit import RayTree
 from keepout.core.cores import kernel
+from keepout.core.geometry.distance import DEEPEST
 from keepout.core.progress import Progress, silent
 
 SQUARES = 4_000_000

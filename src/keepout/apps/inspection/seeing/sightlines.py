@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.seeing.patches import Patches
-from keepout.apps.led.first_hit import DEEPEST, build_tree
+from keepout.apps.led.first_hit import build_tree
 from keepout.core.cores import kernel
 from keepout.core.errors import InspectionError
-from keepout.core.geometry.distance import Point, Points, TriangleSoup
+from keepout.core.geometry.distance import DEEPEST, Point, Points, TriangleSoup
 
 FARTHEST = 1e5
 """Places may have coordinates up to this, m: beyond it rounding comes near the margins."""
