@@ -279,29 +279,29 @@ def _along_curve(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
     """Order of the points along a Morton curve of 1024 steps a side: neighbours in it are neighbours in space."""
     if len(points) < 64:
         return np.arange(len(points), dtype=np.int64)
-    low = points.min(axis=0)
-    span = np.ptp(points, axis=0).max()
-    scaled = ((points - low) * (1023.0 / span if span > 0.0 else 0.0)).astype(np.int64)
-    return np.argsort(morton(scaled), kind="stable")
+    columns = np.ascontiguousarray(points.T)  # in which NumPy finds the least an order of magnitude sooner
+    low = columns.min(axis=1)
+    span = (columns.max(axis=1) - low).max()
+    return np.argsort(morton(((points - low) * (1023.0 / span if span > 0.0 else 0.0)).astype(np.int64)))
 
 
-def morton(index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
-    """Interleave three coordinates of up to 20 bits into one code (Morton 1966)."""
-    return _spread(index[:, 0]) | (_spread(index[:, 1]) << 1) | (_spread(index[:, 2]) << 2)
+@kernel()
+def morton(index):
+    """Interleave three coordinates (n, 3) of up to 20 bits into one code each (Morton 1966)."""
+    codes = np.empty(len(index), dtype=np.int64)
+    for i in range(len(index)):
+        codes[i] = _spread(index[i, 0]) | (_spread(index[i, 1]) << 1) | (_spread(index[i, 2]) << 2)
+    return codes
 
 
-def _spread(x: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+@kernel(inline="always")
+def _spread(x):
     """Move bit i to bit 3 i."""
-    x = x & 0x1FFFFF
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        x = (x | (x << shift)) & mask
-    return x
+    x = (x | (x << 32)) & 0x1F00000000FFFF
+    x = (x | (x << 16)) & 0x1F0000FF0000FF
+    x = (x | (x << 8)) & 0x100F00F00F00F00F
+    x = (x | (x << 4)) & 0x10C30C30C30C30C3
+    return (x | (x << 2)) & 0x1249249249249249
 
 
 @kernel()
