@@ -6,7 +6,7 @@ import pytest
 from truths.messy_meshes import MESSY_AND_REAL
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry.distance import ExactDistance
+from keepout.core.geometry.distance import DEEPEST, ExactDistance, tree_over
 from keepout.core.geometry.octree import straddling_cells
 from keepout.core.geometry.target import Target
 
@@ -88,3 +88,17 @@ def test_points_that_are_none_and_cells_of_no_size_are_refused():
         distance.distance(np.array([[np.nan, 0.0, 0.0]]))
     with pytest.raises(MeshError, match="leaf"):
         straddling_cells(distance, 0.0, leaf=0.0)
+
+
+def test_no_tree_is_deeper_than_a_query_has_room_for():
+    """Each cut leaves a seventh of the triangles on either side, also of those of which each is half the one before."""
+    halves = np.zeros((3000, 3, 3))
+    halves[:, 1, 0] = halves[:, 2, 1] = 2.0 ** -np.linspace(0.0, 1000.0, 3000)
+    for triangles in (halves, np.ones((3000, 3, 3)), np.random.default_rng(0).normal(size=(3000, 3, 3))):
+        tree = tree_over(triangles)
+        level = np.zeros(len(tree.amount), dtype=int)
+        for node in np.flatnonzero(tree.amount == 0):
+            level[[node + 1, tree.right[node]]] = level[node] + 1
+        assert sorted(tree.face) == list(range(3000))
+        assert level.max() < np.log(3000.0) / np.log(7.0 / 6.0) + 1.0
+    assert np.log(1e8) / np.log(7.0 / 6.0) + 1.0 < DEEPEST
