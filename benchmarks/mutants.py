@@ -254,7 +254,6 @@ class Bench:
         places = {
             "NUMBA_CACHE_DIR": compiled / "numba",
             "KEEPOUT_CACHE": built / "fields",
-            "KEEPOUT_TESTS_LEARNED": built / "learned",
         }
         for place in places.values():
             place.mkdir(parents=True, exist_ok=True)

@@ -20,10 +20,13 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
     }
-# Likewise the fields that guards stand on.
+# Likewise the fields that guards stand on, and what one worker builds for all.
 if "KEEPOUT_CACHE" not in os.environ:
     os.environ["KEEPOUT_CACHE"] = tempfile.mkdtemp(prefix="keepout-kept-")
     atexit.register(shutil.rmtree, os.environ["KEEPOUT_CACHE"], ignore_errors=True)
+if "KEEPOUT_TESTS_BUILT" not in os.environ:
+    os.environ["KEEPOUT_TESTS_BUILT"] = tempfile.mkdtemp(prefix="keepout-built-")
+    atexit.register(shutil.rmtree, os.environ["KEEPOUT_TESTS_BUILT"], ignore_errors=True)
 # XLA takes long over programs that then run faster than most tests need. A run that sets XLA_FLAGS, be it to nothing,
 # keeps its own: so `make test` runs what is marked `as_used`, and `make test-all` everything.
 # A jaxlib from 0.11 on has no emitters to switch off, and ends a process that is told of a flag that it does not know.
