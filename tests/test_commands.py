@@ -428,9 +428,10 @@ def test_campaign_report_compare_and_replay(folder, campaign):
     """Those of them that are no command of their own in this process, whose libraries are there."""
     page = folder / "many" / "index.html"
     page.unlink()
-    told = keepout_command("campaign", "report", "many").out
-    assert "no contact" in told
-    assert "open many/index.html" in told
+    told = keepout_command("campaign", "report", "many")
+    assert (told.code, "Traceback" in told.err) == (0, False)
+    assert "no contact" in told.out
+    assert "open many/index.html" in told.out
     assert page.exists()
     assert keepout_command("campaign", "compare", "many", "many", "-o", "compared", "--json").json["paired"]
     assert (folder / "compared" / "index.html").exists()

@@ -21,7 +21,6 @@ from keepout.core.flight.faults import DelayedCommands
 from keepout.core.flight.loop import fly as fly_setup
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
-from keepout.core.guard import field as guard_fields
 from keepout.core.guard.field import cache_folder, guard_field
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag
@@ -120,9 +119,6 @@ def test_the_guards_field_is_kept_and_a_damaged_one_built_anew(tmp_path, monkeyp
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
     for path in tmp_path.iterdir():
         path.write_bytes(path.read_bytes()[:-100])
-    # What is built anew takes seconds: it is the first one here.
-    monkeypatch.setattr(guard_fields, "build_grid", lambda *_, **__: first)
-    monkeypatch.setattr(guard_fields, "certify_grid", lambda grid, *_, **__: grid)
     assert guard_field(target, 0.5, progress=lambda _, text: said.append(text)).sha256 == first.sha256
     assert "damaged" in said[0]
     assert guard_field(target, 0.5, progress=lambda _, text: said.append(text)).sha256 == first.sha256

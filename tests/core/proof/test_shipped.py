@@ -64,7 +64,7 @@ def test_there_is_a_field_and_all_are_small():
     ],
 )
 def test_certificates_hold(name, radius):
-    """A station's for a chaser that is a point by `make test-all`: nobody flies by it."""
+    """A station's for a chaser that is a point by `make test-all`, where all are searched at full size."""
     target = Target.load(name)
     proof = load_shipped(name, target=target).certificate(radius)
     assert proof.kind == "certified"

@@ -245,7 +245,7 @@ class RayTree(NamedTuple):
 
 
 def build_tree(triangles: Float[np.ndarray, "f 3 3"]) -> RayTree:
-    """Give the tree that distances are asked of, as rays go through it, for at least one triangle."""
+    """Give the tree that distances are asked of as rays go through it, for one triangle (corner, axis), m, or more."""
     tree, count = tree_over(triangles), len(triangles)
     leaf = tree.amount > 0
     child = np.where(leaf, ~(np.cumsum(leaf) - 1), np.cumsum(~leaf) - 1)

@@ -231,7 +231,7 @@ class Tree(NamedTuple):
 
 
 def tree_over(triangles: Float[np.ndarray, "f 3 3"]) -> Tree:
-    """Build a tree by the surface area heuristic (Goldsmith and Salmon 1987)."""
+    """Build a tree over triangles (face, corner, axis), m, by the surface area heuristic (Goldsmith, Salmon 1987)."""
     order = np.arange(len(triangles), dtype=np.int64)
     lower, upper, right, first, amount = _split(triangles.min(axis=1), triangles.max(axis=1), order)
     corners = _longest_edge_first(triangles[order])
