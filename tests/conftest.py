@@ -29,12 +29,13 @@ if "KEEPOUT_TESTS_BUILT" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["KEEPOUT_TESTS_BUILT"], ignore_errors=True)
 # XLA takes long over programs that then run faster than most tests need. A run that sets XLA_FLAGS, be it to nothing,
 # keeps its own: so `make test` runs what is marked `as_used`, and `make test-all` everything.
+# Programs are small enough that making them simpler takes longer than running them as they are.
 # A jaxlib from 0.11 on has no emitters to switch off, and ends a process that is told of a flag that it does not know.
 if "XLA_FLAGS" not in os.environ:
     _emitters = "--xla_cpu_use_fusion_emitters=false " if version("jaxlib").startswith("0.10.") else ""
     os.environ["XLA_FLAGS"] = (
         f"{_emitters}--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1 "
-        "--xla_cpu_multi_thread_eigen=false"
+        "--xla_cpu_multi_thread_eigen=false --xla_disable_hlo_passes=simplification"
     )
     # As many workers as cores: threads of their libraries would only wait for each other.
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from truths.small_campaigns import BATCH, MISSION
 
 from keepout.apps.reproduction.in_memory import plan_campaign
 from keepout.core.errors import FlightError, ScenarioError
@@ -24,24 +25,6 @@ from keepout.flights.campaign.table import of_bytes, summary
 
 pytestmark = [pytest.mark.long, pytest.mark.as_used]
 
-MISSION = {
-    "duration": 30.0,
-    "target": {"source": "box"},
-    "field": {"source": "grid"},
-    "guard": {"enabled": False},
-    "control": {"guidance": "straight"},
-    "campaign": {
-        "runs": 22,
-        "dispersions": {
-            "chaser.mass": {"uniform": [18.0, 22.0]},
-            # 1 mN cannot hold against the disturbance: such a run is refused.
-            "chaser.force_limit": {"choice": [0.1, 0.001], "weights": [4, 1]},
-            "start.position": {"sphere": [1.0, 12.0]},
-            "disturbance.phase": {"uniform": [0.0, 6.283]},
-        },
-    },
-}
-BATCH = 4
 GOAL = [0.0, -10.0, -4.0]
 
 

@@ -8,6 +8,7 @@ A flight's setup is data to the compiled program. So one program flies every seg
 guidance it has, as long as their arrays keep their shapes and everything that is no array stays equal.
 """
 
+import functools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -241,12 +242,18 @@ def advanced(setup: FlightSetup, state: LoopState, rows: Int[Array, ""], room: i
 
     The log has `room` rows, of which those beyond `rows` mean nothing (`rows_of`).
     """
-    shapes = jax.eval_shape(lambda state: step(setup, state)[1], state)
+    arrays, still = eqx.partition(setup, eqx.is_array)
+
+    @functools.partial(jax.jit, inline=True)  # so that it is traced once, for the rows' shapes and for the flight
+    def once(arrays: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
+        return step(eqx.combine(arrays, still), state)
+
+    shapes = jax.eval_shape(once, arrays, state)[1]
     empty = jax.tree.map(lambda row: jnp.zeros((room, *row.shape), row.dtype), shapes)
 
     def advance(place: Int[Array, ""], flown: tuple[LoopState, FlightLog]) -> tuple[LoopState, FlightLog]:
         state, log = flown
-        state, row = step(setup, state)
+        state, row = once(arrays, state)
         put = jax.lax.dynamic_update_index_in_dim
         return state, jax.tree.map(lambda column, entry: put(column, entry, place, 0), log, row)
 
