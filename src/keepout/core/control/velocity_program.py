@@ -6,6 +6,7 @@ rounding, and gives the derivative.
 """
 
 import enum
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -125,6 +126,8 @@ def _project(unit: UnitProgram) -> tuple[Active, Stationary, Flag, Int[Array, ""
     return Active(~ball, limited, jnp.zeros(3)), at, jnp.asarray(True), jnp.asarray(0, dtype=jnp.int32)
 
 
+# Long to trace, and asked with the same shapes by all programs of a mission: traced once, it is part of each as before.
+@functools.partial(jax.jit, inline=True)
 def _solve_unit(program: VelocityProgram) -> _Outcome:
     unit = to_unit(program)
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(program)]))
@@ -154,10 +157,10 @@ def _answer(program: VelocityProgram, outcome: _Outcome) -> Vector:
     return to_unit(program).size * outcome.at.velocity
 
 
-def _change(primals: tuple, tangents: tuple, *, apart: bool) -> Vector:
-    """Return the derivative of the solution, m/s, from the optimality conditions."""
-    program, outcome = primals
-    unit, change = jax.jvp(to_unit, (program,), (tangents[0],))
+@functools.partial(jax.jit, inline=True, static_argnames="apart")
+def _change(program: VelocityProgram, outcome: _Outcome, turned: VelocityProgram, *, apart: bool) -> Vector:
+    """Return the derivative of the solution, m/s, for a change of the program, from the optimality conditions."""
+    unit, change = jax.jvp(to_unit, (program,), (turned,))
     (_, _), (_, escape_change) = jax.jvp(lambda unit: escape_velocity(nearest_row(unit)[1]), (unit,), (change,))
     unit, change = jax.jvp(passable, (unit,), (change,))
     inside = sensitivity(unit, change, outcome.active, outcome.at, apart=apart)
@@ -168,10 +171,10 @@ def _change(primals: tuple, tangents: tuple, *, apart: bool) -> Vector:
 
 # The primal of each rule is the function itself again, so that a derivative taken of a derivative's primal is not lost.
 _velocity = jax.custom_jvp(_answer)
-_velocity.defjvp(lambda primals, tangents: (_velocity(*primals), _change(primals, tangents, apart=True)))
+_velocity.defjvp(lambda primals, tangents: (_velocity(*primals), _change(*primals, tangents[0], apart=True)))
 _velocity_forward = jax.custom_jvp(_answer)
 _velocity_forward.defjvp(
-    lambda primals, tangents: (_velocity_forward(*primals), _change(primals, tangents, apart=False))
+    lambda primals, tangents: (_velocity_forward(*primals), _change(*primals, tangents[0], apart=False))
 )
 
 
