@@ -335,10 +335,13 @@ def test_light_commands_import_nothing_heavy():
         code = f"from keepout import cli; sys.argv = {['keepout', *words]}; cli.main()"
         rows.append((code, ["'keepout.cli' in sys.modules", *(f"{name!r} in sys.modules" for name in unneeded)]))
     flies = [f"'keepout.core.{room}' in sys.modules" for room in ("control", "flight", "guard", "mission.build")]
-    *of_commands, of_a_fit = held([*rows, ("from keepout import fit, certify; import keepout.cli.mesh", flies)])
+    fits = "from keepout import fit, certify; import keepout.cli.mesh", flies
+    campaigns = "import keepout.cli.campaign, keepout.flights.campaign.run", ["'distributed' in sys.modules"]
+    *of_commands, of_a_fit, of_a_campaign = held([*rows, fits, campaigns])
     for words, loaded in zip(commands, of_commands, strict=True):
         assert loaded == ["'keepout.cli' in sys.modules"], words
     assert not of_a_fit
+    assert not of_a_campaign
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")

@@ -1,8 +1,4 @@
-"""Who flies a campaign's chunks, as it is written on the command line; a light import stays light."""
-
-import os
-import subprocess
-import sys
+"""Who flies a campaign's chunks, as it is written on the command line."""
 
 import pytest
 
@@ -36,11 +32,3 @@ def test_without_dask_the_line_that_installs_it_is_named(monkeypatch):
     monkeypatch.setattr(run.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ClusterError, match=r"distributed is not installed; pip install 'keepout-gnc\[cluster\]'"):
         flyer_on("local:1")
-
-
-@pytest.mark.long
-def test_nothing_imports_dask_unless_a_scheduler_is_given():
-    modules = "keepout.cli, keepout.cli.campaign, keepout.flights.campaign.run"
-    said = f"import sys, {modules}; print('distributed' in sys.modules)"
-    answer = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True, env=os.environ)
-    assert answer.stdout.strip() == "False"

@@ -152,8 +152,9 @@ class Tube(Path):
         that κ held all along, and likewise X the speed limit; one that may not be is `beyond`. A force whose axes turn
         by α in the step is off by at most 2 sin(α/2)|a|, which adds to d/m.
         """
-        step = np.diff(time)
-        acceleration = force / bounds.mass
+        step, acceleration = np.diff(time), force / bounds.mass
+        # Of one kind, whoever recorded them: else the kernels are compiled once more.
+        position, velocity = (np.require(of, requirements=("C", "W")) for of in (position, velocity))
         disturbance = bounds.disturbance_force / bounds.mass
         kappa = bounds.angular_acceleration + bounds.angular_rate**2 + bounds.gravity_gradient
         disturbance += 2.0 * bounds.angular_rate * bounds.velocity_excursion + kappa * bounds.excursion

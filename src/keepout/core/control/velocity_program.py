@@ -171,11 +171,9 @@ def _change(program: VelocityProgram, outcome: _Outcome, turned: VelocityProgram
 
 # The primal of each rule is the function itself again, so that a derivative taken of a derivative's primal is not lost.
 _velocity = jax.custom_jvp(_answer)
-_velocity.defjvp(lambda primals, tangents: (_velocity(*primals), _change(*primals, tangents[0], apart=True)))
+_velocity.defjvp(lambda at, turned: (_velocity(*at), _change(*at, turned[0], apart=True)))
 _velocity_forward = jax.custom_jvp(_answer)
-_velocity_forward.defjvp(
-    lambda primals, tangents: (_velocity_forward(*primals), _change(*primals, tangents[0], apart=False))
-)
+_velocity_forward.defjvp(lambda at, turned: (_velocity_forward(*at), _change(*at, turned[0], apart=False)))
 
 
 def solve(program: VelocityProgram, *, forward: bool = False) -> ConeSolution:

@@ -8,7 +8,6 @@ A flight's setup is data to the compiled program. So one program flies every seg
 guidance it has, as long as their arrays keep their shapes and everything that is no array stays equal.
 """
 
-import functools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -213,11 +212,7 @@ def trace(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArra
 
     The last row's forces are what would have been done next.
     """
-
-    def advance(state: LoopState, _: None) -> tuple[LoopState, FlightLog]:
-        return step(setup, state)
-
-    return jax.lax.scan(advance, start(setup, initial, key), length=steps + 1)[1]
+    return jax.lax.scan(lambda state, _: step(setup, state), start(setup, initial, key), length=steps + 1)[1]
 
 
 def fly(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArray) -> FlightLog:
@@ -243,11 +238,8 @@ def advanced(setup: FlightSetup, state: LoopState, rows: Int[Array, ""], room: i
     The log has `room` rows, of which those beyond `rows` mean nothing (`rows_of`).
     """
     arrays, still = eqx.partition(setup, eqx.is_array)
-
-    @functools.partial(jax.jit, inline=True)  # so that it is traced once, for the rows' shapes and for the flight
-    def once(arrays: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
-        return step(eqx.combine(arrays, still), state)
-
+    # So that it is traced once, for the rows' shapes and for the flight.
+    once = jax.jit(lambda arrays, state: step(eqx.combine(arrays, still), state), inline=True)
     shapes = jax.eval_shape(once, arrays, state)[1]
     empty = jax.tree.map(lambda row: jnp.zeros((room, *row.shape), row.dtype), shapes)
 

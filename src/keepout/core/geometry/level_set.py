@@ -132,7 +132,7 @@ def largest_on_level(
 
     """
     answer = np.empty(len(centres))
-    tree = distance.tree
+    tree, centres = distance.tree, np.ascontiguousarray(centres)
 
     def work(part: slice) -> None:
         _largest(tree, level, centres[part], half_widths[part], slopes[part], answer[part])

@@ -60,7 +60,7 @@ class Network(NamedTuple):
         weights = tuple(np.asarray(W, np.float64) for W in layers.weights)
         return cls(
             weights,
-            tuple(np.asarray(b, np.float64) for b in layers.biases),
+            tuple(np.array(b, np.float64) for b in layers.biases),  # writable: else the kernels are compiled twice
             beta,
             layers.weights[0].dtype == np.float32,
             tuple(W.astype(np.float32) for W in weights),
