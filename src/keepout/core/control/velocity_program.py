@@ -6,7 +6,6 @@ rounding, and gives the derivative.
 """
 
 import enum
-import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -126,8 +125,6 @@ def _project(unit: UnitProgram) -> tuple[Active, Stationary, Flag, Int[Array, ""
     return Active(~ball, limited, jnp.zeros(3)), at, jnp.asarray(True), jnp.asarray(0, dtype=jnp.int32)
 
 
-# Long to trace, and asked with the same shapes by all programs of a mission: traced once, it is part of each as before.
-@functools.partial(jax.jit, inline=True)
 def _solve_unit(program: VelocityProgram) -> _Outcome:
     unit = to_unit(program)
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(program)]))
@@ -157,10 +154,10 @@ def _answer(program: VelocityProgram, outcome: _Outcome) -> Vector:
     return to_unit(program).size * outcome.at.velocity
 
 
-@functools.partial(jax.jit, inline=True, static_argnames="apart")
-def _change(program: VelocityProgram, outcome: _Outcome, turned: VelocityProgram, *, apart: bool) -> Vector:
-    """Return the derivative of the solution, m/s, for a change of the program, from the optimality conditions."""
-    unit, change = jax.jvp(to_unit, (program,), (turned,))
+def _change(primals: tuple, tangents: tuple, *, apart: bool) -> Vector:
+    """Return the derivative of the solution, m/s, from the optimality conditions."""
+    program, outcome = primals
+    unit, change = jax.jvp(to_unit, (program,), (tangents[0],))
     (_, _), (_, escape_change) = jax.jvp(lambda unit: escape_velocity(nearest_row(unit)[1]), (unit,), (change,))
     unit, change = jax.jvp(passable, (unit,), (change,))
     inside = sensitivity(unit, change, outcome.active, outcome.at, apart=apart)
@@ -171,9 +168,11 @@ def _change(program: VelocityProgram, outcome: _Outcome, turned: VelocityProgram
 
 # The primal of each rule is the function itself again, so that a derivative taken of a derivative's primal is not lost.
 _velocity = jax.custom_jvp(_answer)
-_velocity.defjvp(lambda at, turned: (_velocity(*at), _change(*at, turned[0], apart=True)))
+_velocity.defjvp(lambda primals, tangents: (_velocity(*primals), _change(primals, tangents, apart=True)))
 _velocity_forward = jax.custom_jvp(_answer)
-_velocity_forward.defjvp(lambda at, turned: (_velocity_forward(*at), _change(*at, turned[0], apart=False)))
+_velocity_forward.defjvp(
+    lambda primals, tangents: (_velocity_forward(*primals), _change(primals, tangents, apart=False))
+)
 
 
 def solve(program: VelocityProgram, *, forward: bool = False) -> ConeSolution:
