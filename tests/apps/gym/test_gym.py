@@ -68,7 +68,6 @@ def test_many_are_one_by_one_through_the_ends_of_episodes():
             np.testing.assert_allclose(seen, row[0][place], atol=1e-5)
 
 
-@pytest.mark.slow  # another program without the guard; laws that would touch are in core/guard/test_invariance
 def test_the_shield_prevents_a_contact_that_the_bare_action_causes():
     box, goal = Target.load("box").distance, np.array([0.0, -4.0, 0.0])
     ended = {}

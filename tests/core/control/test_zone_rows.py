@@ -1,5 +1,7 @@
 """Barrier rows of several things in one velocity program: against Clarabel, and in the law between two zones."""
 
+import dataclasses
+
 import clarabel
 import equinox as eqx
 import jax
@@ -177,8 +179,6 @@ def _walls(*bounds):
 
 
 FLOOR, WALL = ([-9.0, -9.0, -9.0], [9.0, 0.0, 9.0]), ([-9.0, -9.0, -9.0], [0.0, 9.0, 9.0])
-BEYOND = [3000.0] * 3, [3001.0] * 3
-"""A zone so far away that its row never acts, in the same program."""
 BALL = SphereField(jnp.asarray([3.0, 3.0, 3.0]), jnp.asarray(1.0))
 
 
@@ -217,7 +217,7 @@ def _along_the_walls(step):
     return np.stack([0.5 + along, 0.5 - along, np.full_like(along, 0.2)], axis=1)
 
 
-def _both(row_per_zone):
+def _past_the_corner(row_per_zone):
     """The law along the walls, the largest step of its velocity, and the slack of each wall's row."""
     places = _along_the_walls(1e-3)
     point = _flown(_law(FLOOR, WALL, row_per_zone=row_per_zone), places, jnp.asarray(0.0))
@@ -227,7 +227,7 @@ def _both(row_per_zone):
 
 @pytest.mark.long
 def test_no_velocity_jumps_where_two_zones_are_equally_near():
-    places, point, largest, slack = _both(True)
+    places, point, largest, slack = _past_the_corner(True)
     assert largest < 1e-3
     assert (slack > -1e-12).all()
     # The barrier and its normal are those of the nearer wall.
@@ -239,10 +239,10 @@ def test_no_velocity_jumps_where_two_zones_are_equally_near():
 @pytest.mark.slow  # another law's program, to show that the rows are needed
 @pytest.mark.long
 def test_with_a_single_row_it_jumps_and_leads_into_the_other_wall():
-    places, single, largest, slack = _both(False)
+    places, single, largest, slack = _past_the_corner(False)
     assert largest > 0.05
     assert (slack < -1e-12).all()
-    rows = _both(True)[1]
+    rows = _past_the_corner(True)[1]
     np.testing.assert_allclose(rows.barrier, single.barrier, atol=1e-14)
     apart = np.abs(places[:, 0] - places[:, 1]) > 1e-9
     np.testing.assert_array_equal(rows.normal[apart], single.normal[apart])
@@ -264,7 +264,7 @@ def test_the_velocity_turns_as_its_jacobian_says():
 def test_a_zone_that_has_ended_is_no_row():
     places = _along_the_walls(0.02)
     ended = _flown(_law(FLOOR, WALL), places, jnp.asarray(100.0))
-    alone = _flown(_law(BEYOND, BEYOND), places, jnp.asarray(0.0))
+    alone = _flown(dataclasses.replace(_law(FLOOR), field=BALL), places, jnp.asarray(100.0))
     assert np.all(np.isfinite(ended.jacobian))
     np.testing.assert_allclose(ended.velocity, alone.velocity, atol=1e-11)
     np.testing.assert_allclose(ended.jacobian, alone.jacobian, atol=1e-9)

@@ -207,7 +207,7 @@ def test_the_covariance_moves_as_the_motion_does():
 @pytest.mark.long
 def test_normalised_innovations_and_errors_squared_are_in_their_band(monkeypatch):
     """Worlds that are as the filter believes."""
-    flights = 120
+    flights = 200
     monkeypatch.setattr(filter_worlds, "FLIGHTS", flights)
     both, errors = normalised(ball)
     for values in (both[:, ::2, 0], both[:, :, 1]):  # innovations of one sensor are independent over time and flights
