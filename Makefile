@@ -45,7 +45,7 @@ ifdef UV
 MAKE_VENV := uv venv --quiet --allow-existing --python $(PYTHON) $(VENV)
 INSTALLED = uv pip install --quiet --python $(BIN)/python --editable $(1)
 else
-# An environment without a pip of its own is there 6 s sooner; an old pip cannot install into another's.
+# An environment without a pip of its own is there sooner. An old pip, or none, cannot install into another's.
 MAKE_VENV := { $(PYTHON) -m venv --without-pip $(VENV) && \
 	$(PYTHON) -m pip --python $(BIN)/python install --quiet --no-compile uv 2>/dev/null; } || \
 	{ $(PYTHON) -m venv $(VENV) && { $(BIN)/python -m pip install --quiet --no-compile uv || true; }; }
@@ -81,7 +81,7 @@ style: install
 	$(BIN)/lint-imports
 
 # Room for what is new, so that Node looks less often for what is not used any more: a seventh of the time.
-PYRIGHT = NODE_OPTIONS="$$NODE_OPTIONS --max-semi-space-size=256" $(BIN)/pyright
+PYRIGHT = NODE_OPTIONS="$$NODE_OPTIONS --max-semi-space-size=64" $(BIN)/pyright
 
 types: install
 	$(PYRIGHT)

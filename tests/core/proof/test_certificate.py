@@ -89,7 +89,7 @@ def test_a_planted_violation_is_found_and_splitting_that_runs_out_stays_sound(mo
     assert of_the_fit.error_bound >= of_the_fit.sampled_maximum
 
 
-@pytest.mark.slow  # 1.8 million elements; at 0 and 0.3 m it is in the test above
+@pytest.mark.slow  # the whole proof takes long; at 0 and 0.3 m it is in the test above
 def test_splitting_that_runs_out_stays_sound_at_the_radius_of_the_fit(model, target, monkeypatch):
     whole = certify(model, target).certificate(0.5).error_bound
     monkeypatch.setattr(certificate, "MOST_ELEMENTS", 20)

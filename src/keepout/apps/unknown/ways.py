@@ -245,8 +245,7 @@ def hoped_way(
     ):
         centres = (np.argwhere(closed) + 0.5) * scale
         paints = np.full(len(centres), dear, dtype=np.uint8)
-        allowed = np.ascontiguousarray((price > 1) & (price < dear))
-        _paint(price, allowed, np.ascontiguousarray(centres), reach.keep / reach.spacing, paints)
+        _paint(price, (price > 1) & (price < dear), centres, reach.keep / reach.spacing, paints)
     last = np.array(price.shape) - 1
     end = np.round(np.clip((np.asarray(goal) - reach.origin) / reach.spacing, 0, last)).astype(int)
     start = np.clip((np.asarray(position) - reach.origin) / reach.spacing, 0, last)
@@ -261,8 +260,7 @@ def hoped_way(
     stage = (1 + np.searchsorted(_STAGES, before * reach.spacing, side="right")).astype(np.uint8)
     tube = (reach.keep + 0.5 * cells.edge) / cells.edge
     # Later stages first, so that a cell keeps the earliest that it blocks.
-    centres, paints = nodes[blocked][::-1] / scale - 0.5, np.ascontiguousarray(stage[blocked][::-1])
-    _paint(stages, np.ascontiguousarray(cells.kinds > SURFACE), np.ascontiguousarray(centres), tube, paints)
+    _paint(stages, cells.kinds > SURFACE, nodes[blocked][::-1] / scale - 0.5, tube, stage[blocked][::-1])
     return HopedWay(reach.place(nodes), blocked, stages)
 
 
