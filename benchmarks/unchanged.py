@@ -84,9 +84,10 @@ def compared(here: Path, there: Path) -> Iterator[str]:
 
 def run(source: Path, words: str, folder: Path) -> None:
     """Run one command from a source tree, with its own cache, and keep what it prints in `stdout.json`."""
-    folder.mkdir(parents=True)
+    # Records name the mission's file: of both sources it is the same, here.
+    shutil.copytree(source / "examples", folder / "examples", ignore=shutil.ignore_patterns("__pycache__"))
     environment = os.environ | {"PYTHONPATH": str(source / "src"), "KEEPOUT_CACHE": str(KEPT / "cache")}
-    places = {"examples": source / "examples", "fields": source / "src/keepout/data/fields"}
+    places = {"examples": "examples", "fields": source / "src/keepout/data/fields"}
     command = [sys.executable, "-m", "keepout.cli", *words.format(**places).split()]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     text = re.sub(re.escape(str(source)), "", done.stdout)

@@ -114,9 +114,20 @@ def test_lowering_and_continuation_count_where_the_network_is_straight(slope, al
     assert steepest - 0.01 <= found <= proved(straight(slope, allowance)).proved <= 1.2 * max(found, 1.0)
 
 
-def test_giving_up_is_told_apart_from_a_proof(monkeypatch):
-    monkeypatch.setattr(lipschitz, "MOST_CUBES", 100)
-    assert proved(random_field(0), found=1.0) == lipschitz.Lipschitz(1.0, None)
+def test_few_cubes_prove_a_looser_bound_and_one_that_is_too_loose_is_none(monkeypatch):
+    field, found = random_field(0), searched(random_field(0))
+    monkeypatch.setattr(lipschitz, "GAP", 0.02)
+    bounds = []
+    for most in (1_500, 3_000, 20_000):
+        seen = []
+        monkeypatch.setattr(lipschitz, "MOST_CUBES", most)
+        bounds.append(proved(field, progress=lambda done, line, seen=seen: seen.append(int(line.split()[1]))).proved)
+        assert seen[-1] <= most
+    assert found <= bounds[2] < bounds[1] < bounds[0]
+    # What few cubes came to is proved again by as many.
+    assert proved(field, found=bounds[2] / 1.02).proved == pytest.approx(bounds[2])
+    monkeypatch.setattr(lipschitz, "LOOSEST", 0.02)
+    assert proved(field).proved is None
 
 
 def test_clearance_leaves_out_what_lies_nearer():

@@ -48,6 +48,7 @@ class TrainingProfile:
         tuning_steps: of the counter-example phase.
         polish_steps: of the phase that follows, at a small rate and with new counter-examples every `ROUND` steps: it
             takes narrow spikes away, on which the error bound stands.
+        worst: over-statements of each kind that a round of hunting keeps; a tenth may be peaks that count five times.
         webs: worst under-statements of the near field that a round of the counter-example phase keeps. Without them
             webs grow in the corners between panels; with as many as of the over-statements the surface suffers.
         near: metres; errors count in proportion to near/(|g| + near), g the signed distance, so that the surface
@@ -80,6 +81,7 @@ class TrainingProfile:
     steps: int = 2_500
     tuning_steps: int = 1_250
     polish_steps: int = 300
+    worst: int = 1_500
     webs: int = 500
     near: float = 0.2
     room_share: float = 0.45
@@ -129,6 +131,7 @@ _STATION = dataclasses.replace(
     over_weight=0.65,
     far_over_weight=0.5,
 )
+_FINE_STATION = dataclasses.replace(_STATION, steps=10_000, tuning_steps=7_000, polish_steps=900, worst=3_000)
 _PAPER = TrainingProfile(
     loss="paper_pinball",
     width=512,
@@ -149,9 +152,7 @@ _PAPER = TrainingProfile(
 
 PROFILES: dict[str, TrainingProfile] = {
     "default": TrainingProfile(large=_STATION),
-    "fine": dataclasses.replace(
-        _MORE, steps=8_000, tuning_steps=4_000, large=dataclasses.replace(_STATION, steps=10_000, tuning_steps=7_000)
-    ),
+    "fine": dataclasses.replace(_MORE, steps=8_000, tuning_steps=4_000, large=_FINE_STATION),
     "quick": TrainingProfile(width=48, depth=3, samples=60_000, steps=1000, tuning_steps=250, polish_steps=150),
     "paper": _PAPER,
     "paper_printed": dataclasses.replace(_PAPER, loss="paper_printed"),

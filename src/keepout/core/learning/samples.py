@@ -25,15 +25,13 @@ ON_LEVEL, NEAR = 50_000, 200_000
 the surface (`Domain.room`), at most: of the labelled samples, and they stay."""
 POOL = 150_000
 """Points of the contact surface that are drawn from: to find one takes three closest points."""
-WORST, ROUNDS_KEPT = 1500, 3
-"""Over-statements of each kind that a round keeps, and the rounds that are learned from."""
-CLIMBERS = 4096
-"""Worst candidates that climb."""
+ROUNDS_KEPT, CLIMBERS = 3, 4096
+"""Rounds of counter-examples that are learned from, and the worst candidates of a round that climb."""
 ASCENT = (0.08, 0.05, 0.03, 0.02, 0.01, 0.005)
 """Metres. Steps by which they climb."""
-PEAKS, COPIES, PEAK_SIZE = 100, 5, 0.1
-"""Of the over-statements a round keeps, this many peaks, so many metres apart, are kept so many times: the error bound
-is that of the highest, however narrow."""
+PEAKS, COPIES, PEAK_SIZE = 0.1, 5, 0.1
+"""Of the over-statements a round keeps, up to this share are peaks, so many metres apart, that are kept so many times:
+the error bound is that of the highest, however narrow."""
 HIGHEST = 4.0
 """Weight of the highest peak, and of the deepest web; it falls to 1 for what is not over- or under-stated."""
 JITTERED, JITTER = 0.6, 0.03
@@ -194,7 +192,7 @@ class Hunt:
     @property
     def kept(self) -> int:
         """Number of counter-examples that are learned from at a time."""
-        return ROUNDS_KEPT * (WORST * (len(self.levels) + 1) + self.profile.webs)
+        return ROUNDS_KEPT * (self.profile.worst * (len(self.levels) + 1) + self.profile.webs)
 
     def worst(
         self, learner: Learner, known: Points, generator: np.random.Generator, *, settling: bool = False
@@ -208,11 +206,11 @@ class Hunt:
             settling: leave webs alone, and keep more over-statements of the near field in their place.
 
         """
-        chosen, weights, largest = [], [], -np.inf
+        chosen, weights, largest, worst = [], [], -np.inf, self.profile.worst
         for level in self.levels:
             points, value = self._climbed(learner, self._candidates(level, known, generator), level, generator)
-            peaks = _peaks(points, value)
-            best = np.concatenate([_largest(value, WORST - COPIES * len(peaks)), np.repeat(peaks, COPIES)])
+            peaks = _peaks(points, value)[: int(PEAKS * worst)]
+            best = np.concatenate([_largest(value, worst - COPIES * len(peaks)), np.repeat(peaks, COPIES)])
             chosen.append(points[best])
             weights.append(_weights(value[best] - level))
             largest = max(largest, float(value.max()) - level)
@@ -220,7 +218,7 @@ class Hunt:
         lack = np.where(self.near.hidden, -np.inf, -excess)
         excess = np.where(self.near.distance < self.profile.near_field, excess, -np.inf)
         webs = 0 if settling else self.profile.webs
-        over, under = _largest(excess, WORST + self.profile.webs - webs), _largest(lack, webs)
+        over, under = _largest(excess, worst + self.profile.webs - webs), _largest(lack, webs)
         chosen += [self.near.points[best].astype(np.float64) for best in (over, under)]
         # A web is deep and rare: a loss that grows with the error alone would rather keep it.
         weights += [np.ones(len(over)), _weights(lack[under])]
@@ -270,11 +268,10 @@ def _tangential(gradient: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n
 
 
 def _peaks(points: Points, value: Float[np.ndarray, "n"]) -> np.ndarray:
-    """Return the indices of the highest points of the cells that have the highest ones."""
+    """Return the indices of the highest point of each cell, the highest of all first."""
     order = np.argsort(-value)
     cells = np.floor(points[order] / PEAK_SIZE).astype(np.int64)
-    first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    return order[first[:PEAKS]]
+    return order[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
 def _weights(error: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:

@@ -24,9 +24,10 @@ from keepout.core.progress import Progress, silent
 from keepout.core.proof.bounds import UNIT64, Network, softplus
 
 MOST_CUBES = 12_000_000
-"""The search gives up after so many cubes: some ten minutes a core for 4 × 96."""
-GAP = 0.5
-"""Cubes are split while their bound exceeds the largest slope found by more than this share of it."""
+"""The search ends with so many cubes: some ten minutes a core for 4 × 96."""
+GAP, LOOSEST = 0.5, 2.0
+"""Cubes are split while their bound exceeds the largest slope found by more than this share of it; where there are too
+many, only the worst, and a bound beyond the second share counts as none."""
 FIRST_CUBES = 20
 """Cubes to the radius of the learned ball at the start."""
 _CHUNK = 128
@@ -37,7 +38,7 @@ SATURATED = 40.0
 
 
 class Lipschitz(NamedTuple):
-    """The largest ‖∇f̃‖ found, and a proved upper bound of all; None where it took too many cubes."""
+    """The largest ‖∇f̃‖ found, and a proved upper bound of all; None where it would be too loose."""
 
     found: float
     proved: float | None
@@ -48,10 +49,10 @@ def prove_lipschitz(
 ) -> Lipschitz:
     """Prove a bound of ‖∇f̃‖ at every point whose distance d from the target is at least `clearance`.
 
-    Cubes over the learned ball are split until each is bounded by 1 + `GAP` times the largest slope found; the
-    continuation beyond the ball, and the allowance it subtracts, are covered by closed forms. The bound is of the
-    network in exact arithmetic: two values as evaluated in float32 differ by at most the bound times the points'
-    distance, plus twice the certificate's `evaluation_error`.
+    Cubes over the learned ball are split until each is bounded by 1 + `GAP` times the largest slope found, or by what
+    `MOST_CUBES` of them suffice for; the continuation beyond the ball, and the allowance it subtracts, are covered by
+    closed forms. The bound is of the network in exact arithmetic: two values as evaluated in float32 differ by at most
+    the bound times the points' distance, plus twice the certificate's `evaluation_error`.
 
     Args:
         field: the field.
@@ -82,20 +83,20 @@ def prove_lipschitz(
         done += float((~kept).sum()) * (2.0 * half) ** 3
         cubes, farthest = cubes[kept], farthest[kept]
         seen += len(cubes)
-        if seen > MOST_CUBES:
-            return Lipschitz(found, None)
         bound = _with_continuation(field, _bounds(prepared, cubes / scale, (half + moved) / scale), farthest)
         worst = cubes[np.argsort(-bound)[:_LOOKED_AT]] + centre
         worst = worst[distance.distance(worst) >= clearance]
         slopes = np.linalg.norm(values_and_gradients(field, worst)[1], axis=1)
         found = max(found, float(slopes.max(initial=0.0)))
-        open_ = bound > (1.0 + GAP) * found
+        open_ = bound > max((1.0 + GAP) * found, largest)
+        # A sixteenth of the room that is left has eight children each, and leaves as much to theirs.
+        open_[np.argsort(-bound)[max(MOST_CUBES - seen, 0) // 16 :]] = False
         largest = max(largest, float(bound[~open_].max(initial=0.0)))
         done += float((~open_).sum()) * (2.0 * half) ** 3
         progress(min(1.0, done / whole), f"‖∇f̃‖: {seen} cubes, {int(open_.sum())} of {2.0 * half:.2g} m open")
         half *= 0.5
         cubes = (cubes[open_][:, None, :] + half * CORNERS).reshape(-1, 3)
-    return Lipschitz(found, largest)
+    return Lipschitz(found, largest if largest <= (1.0 + LOOSEST) * found else None)
 
 
 def _bounds(prepared: "Prepared", centres: Float[np.ndarray, "m 3"], half_width: float) -> Float[np.ndarray, "m"]:
