@@ -125,7 +125,7 @@ def test_few_cubes_prove_a_looser_bound_and_one_that_is_too_loose_is_none(monkey
         assert seen[-1] <= most
     assert found <= bounds[2] < bounds[1] < bounds[0]
     # What few cubes came to is proved again by as many.
-    assert proved(field, found=bounds[2] / 1.02).proved == pytest.approx(bounds[2])
+    assert found <= proved(field, found=bounds[2] / 1.02).proved <= bounds[2] * (1.0 + 1e-12)
     monkeypatch.setattr(lipschitz, "LOOSEST", 0.02)
     assert proved(field).proved is None
 
