@@ -89,8 +89,8 @@ def prove_lipschitz(
         slopes = np.linalg.norm(values_and_gradients(field, worst)[1], axis=1)
         found = max(found, float(slopes.max(initial=0.0)))
         open_ = bound > max((1.0 + GAP) * found, largest)
-        # A tenth of the room that is left: with eight children each they leave some to theirs.
-        open_[np.argsort(-bound)[max(MOST_CUBES - seen, 0) // 10 :]] = False
+        # A sixteenth of the room that is left has eight children each, and leaves as much to theirs.
+        open_[np.argsort(-bound)[max(MOST_CUBES - seen, 0) // 16 :]] = False
         largest = max(largest, float(bound[~open_].max(initial=0.0)))
         done += float((~open_).sum()) * (2.0 * half) ** 3
         progress(min(1.0, done / whole), f"‖∇f̃‖: {seen} cubes, {int(open_.sum())} of {2.0 * half:.2g} m open")
