@@ -130,6 +130,12 @@ def test_few_cubes_prove_a_looser_bound_and_one_that_is_too_loose_is_none(monkey
     assert proved(field).proved is None
 
 
+def test_a_cube_whose_bound_is_not_a_number_proves_nothing(monkeypatch):
+    bounds = lipschitz._bounds
+    monkeypatch.setattr(lipschitz, "_bounds", lambda *known: np.append(bounds(*known)[1:], np.nan))
+    assert proved(random_field(0)).proved is None
+
+
 def test_clearance_leaves_out_what_lies_nearer():
     said = {0.0: [], 1.5: []}
     whole, part = (

@@ -158,12 +158,12 @@ def write_reproduction(out: Path, parts: Sequence[Part], *, quick: bool) -> None
 
 
 def _verdict(parts: Sequence[Part], *, quick: bool) -> Headline:
-    """Say how much of it was repeated, and what became of the flights that are drawn."""
+    """Say how much of it was repeated, and what became of the flights that are replayed."""
     flights = [flight for part in parts for flight in part.flights.values()]
     free = sum(flight.audit.contact is Contact.NO for flight in flights)
     said = f"{len(parts)} of {len(PARTS)} parts repeated{', quickly' if quick else ''}"
     if flights:
-        said += f"; of the {len(flights)} flights drawn {free} touched nothing, proved on the exact mesh"
+        said += f"; of the {len(flights)} flights replayed below {free} touched nothing, proved on the exact mesh"
     return Headline(f"{said}.", True if flights and free == len(flights) else None)
 
 

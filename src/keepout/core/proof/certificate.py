@@ -41,7 +41,7 @@ ERROR_GAP, POINT_LIKE = 2e-5, 0.005
 """Share of the domain's radius by which the float32 error may carry the bound further above the largest value found,
 where an element is longer than so many metres: the error does not vanish at a point."""
 GRADIENT_ALLOWANCE = 0.2
-"""Added to the largest gradient found, as a share of it, where the proof of a bound takes too long."""
+"""Added to the largest gradient found, as a share of it, where no bound is proved."""
 FIRST_LEAF, LARGEST_LEAF = 0.02, 0.4
 """Side of the cubes that first cover {d = R}: this share of the domain's radius, at most so many metres."""
 OTHER_MACHINE = 1e-12
@@ -113,8 +113,8 @@ class Check(NamedTuple):
         proved: whether all that the certificate calls certified was proved; of a sampled one nothing is.
         error_bound: e_h as proved now, metres; of a sampled certificate the largest f̃ - R found now.
         evaluation_error: as proved now, metres; None of a sampled certificate.
-        gradient_bound: as proved now; None where the certificate does not call its own certified, or the proof takes
-            too long.
+        gradient_bound: as proved now; None where the certificate does not call its own certified, or the bound proved
+            would be too loose.
 
     """
 

@@ -84,14 +84,15 @@ def prove_lipschitz(
         cubes, farthest = cubes[kept], farthest[kept]
         seen += len(cubes)
         bound = _with_continuation(field, _bounds(prepared, cubes / scale, (half + moved) / scale), farthest)
-        worst = cubes[np.argsort(-bound)[:_LOOKED_AT]] + centre
+        order = np.argsort(-bound)
+        worst = cubes[order[:_LOOKED_AT]] + centre
         worst = worst[distance.distance(worst) >= clearance]
         slopes = np.linalg.norm(values_and_gradients(field, worst)[1], axis=1)
         found = max(found, float(slopes.max(initial=0.0)))
         open_ = bound > max((1.0 + GAP) * found, largest)
-        # A sixteenth of the room that is left has eight children each, and leaves as much to theirs.
-        open_[np.argsort(-bound)[max(MOST_CUBES - seen, 0) // 16 :]] = False
-        largest = max(largest, float(bound[~open_].max(initial=0.0)))
+        # The children of these, eight each, take at most half of the room that is left.
+        open_[order[max(MOST_CUBES - seen, 0) // 16 :]] = False
+        largest = float(bound[~open_].max(initial=largest))  # and not a number, which proves nothing, where one is not
         done += float((~open_).sum()) * (2.0 * half) ** 3
         progress(min(1.0, done / whole), f"‖∇f̃‖: {seen} cubes, {int(open_.sum())} of {2.0 * half:.2g} m open")
         half *= 0.5
