@@ -115,7 +115,7 @@ other-tests: types
 	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE)
 
 test-all: lint
-	XLA_FLAGS= $(BIN)/python tests/where_time_goes.py --keep out/test-all -n 2 --dist loadgroup \
+	XLA_FLAGS= $(BIN)/python tests/where_time_goes.py --keep out/test-all $(BY_FILE) \
 		--hypothesis-profile=random $(call TYPED,keepout)
 
 format: install

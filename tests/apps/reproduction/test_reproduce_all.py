@@ -14,7 +14,7 @@ from keepout.apps.reproduction import PARTS
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.scenario import Scenario
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("reproduce_all")]
+pytestmark = pytest.mark.slow
 
 TABLES = {
     "table1": {"errors", "gradient_error"},
