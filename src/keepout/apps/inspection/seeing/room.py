@@ -1,7 +1,7 @@
 """The room allowed to a chaser's centre, and how near a camera may come along a beam of directions from a patch."""
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -28,6 +28,7 @@ _STEPS = 24
 """Of a walk up the distance; each about doubles what is left above the stand-off."""
 
 
+@runtime_checkable
 class Measure(Protocol):
     """A distance from places."""
 
