@@ -125,7 +125,7 @@ def fit(
     certify: Annotated[bool, typer.Option("--certify", help="Then `certify` it.")] = False,
     first: Annotated[
         Path | None,
-        typer.Option("--from", help="Begin with the field of a similar mesh: about half the time."),
+        typer.Option("--from", help="Begin with the field of a similar mesh: half the time or less."),
     ] = None,
     until_bound: Annotated[
         float | None,

@@ -42,7 +42,7 @@ def fit(
         chaser_radius: of the ball that holds the chaser, m; a scenario's own, and else 0.5, if absent.
         certify: then prove by how much the field over-states the distance (e_h, m), for this radius.
         out: the field file (.keepout) to write, before and after the proof.
-        first: the field, or its file, of a mesh that differs little, to begin with: about half the time.
+        first: the field, or its file, of a mesh that differs little, to begin with: half the time or less.
         until_bound: end as soon as no over-statement above this is found, m.
         at_most: end after about this time, s; the proof's is not counted.
         seed: the same seed, target and profile on the same machine give the same field, but for `at_most`.

@@ -17,12 +17,13 @@ from keepout.core.fields.grid_build import build_grid
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.target import Target
-from keepout.core.learning.losses import PROFILES, TrainingProfile
+from keepout.core.learning.losses import PROFILES, ROUND, TrainingProfile
+from keepout.core.learning.samples import MOST_WRONG, where_wrong
 from keepout.core.learning.schedule import (
     BLOCK,
     POLISH,
     POLISH_RATE,
-    ROUND,
+    SLOWER_ROUND,
     TUNING_RATE,
     Ending,
     Pace,
@@ -143,10 +144,23 @@ def test_an_end_by_bound_or_time_has_a_polish_and_a_profile_without_hunts_knows_
         Ending(until_bound=0.0).of_profile(PROFILES["paper"])
 
 
-def test_a_second_fit_has_no_first_phase_and_a_share_of_the_steps():
-    second = shortened(PROFILE)
-    assert (second.steps, second.tuning_steps) == (0, 3 * BLOCK)
+@pytest.mark.parametrize(("error", "blocks"), [(0.01, 1), (0.06, 2), (0.2, 4), (1.0, 5)])
+def test_a_second_fit_has_no_first_phase_and_the_fewer_steps_the_less_the_first_field_is_wrong(error, blocks):
+    second = shortened(PROFILE, error)
+    assert (second.steps, second.tuning_steps) == (0, blocks * BLOCK)
     assert phase_of(second, 0) == 1
+    assert block_lengths(second)[blocks:] == [SLOWER_ROUND] * 2
+
+
+def test_a_second_fit_learns_half_its_points_where_the_first_field_is_wrong_and_half_everywhere():
+    error = np.zeros(1000)
+    error[:300], error[:10] = 1.0, 100.0
+    drawn = np.bincount(where_wrong(error, 200_000, np.random.default_rng(0)), minlength=1000) / 200_000
+    assert drawn[300:].mean() == pytest.approx(0.5 / 1000, rel=0.02)
+    mean = 1.29  # one that is more wrong than MOST_WRONG of it counts as so much
+    assert drawn[:10].mean() == pytest.approx(0.0005 + 0.5 * MOST_WRONG / (10 * MOST_WRONG + 290 / mean), rel=0.02)
+    exact = where_wrong(np.zeros(10), 5000, np.random.default_rng(0))
+    assert np.bincount(exact).min() > 400
 
 
 @pytest.mark.long

@@ -268,8 +268,7 @@ class _Search:
         found = self.distance(point)
         time = tube.time[index] + 0.5 * (start + end) * np.diff(tube.time)[index]
         self._improve(flight, found + error, time, point)
-        kept = self._settle(flight, found - radius, final=last | (radius - error <= 0.05 * error))
-        return kept
+        return self._settle(flight, found - radius, final=last | (radius - error <= 0.05 * error))
 
     def _improve(self, flight: np.ndarray, upper: np.ndarray, time: np.ndarray, position: np.ndarray) -> None:
         order = np.lexsort((upper, flight))

@@ -164,8 +164,7 @@ def drift_bound(motion: RelativeMotion, *, radius: float, speed: float) -> float
 
     Sampled over directions and over eight moments of one orbit: an estimate for tuning, no bound that a proof may use.
     """
-    rng = np.random.default_rng(0)
-    directions = rng.normal(size=(2, 256, 3))
+    directions = np.random.default_rng(0).normal(size=(2, 256, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     orbit = motion.orbit
     axis = float(orbit.semi_major_axis)

@@ -24,6 +24,8 @@ LARGE_TARGET = 20.0
 """Metres. A target whose bounding ball is larger gets the profile's numbers for large targets, where it has any."""
 BEYOND_CONTACT = 0.7
 """Metres that the near field reaches beyond where a chaser touches."""
+ROUND = 50
+"""Steps in one compiled loop, and between searches for counter-examples in the last phase."""
 SHARES = 8
 """Parts of a step's points, of which some are learned with their gradient and the others without."""
 
@@ -46,8 +48,9 @@ class TrainingProfile:
         batch: points a step.
         steps: of the main phase.
         tuning_steps: of the counter-example phase.
-        polish_steps: of the phase that follows, at a small rate and with new counter-examples every `ROUND` steps: it
-            takes narrow spikes away, on which the error bound stands.
+        polish_steps: of the phase that follows, at a small rate: it takes narrow spikes away, on which the error bound
+            stands.
+        polish_round: steps after each of which that phase searches for new counter-examples.
         worst: over-statements of each kind that a round of hunting keeps; a tenth may be peaks that count five times.
         webs: worst under-statements of the near field that a round of the counter-example phase keeps. Without them
             webs grow in the corners between panels; with as many as of the over-statements the surface suffers.
@@ -81,6 +84,7 @@ class TrainingProfile:
     steps: int = 2_500
     tuning_steps: int = 1_250
     polish_steps: int = 300
+    polish_round: int = ROUND
     worst: int = 1_500
     webs: int = 500
     near: float = 0.2

@@ -25,6 +25,8 @@ ON_LEVEL, NEAR = 50_000, 200_000
 the surface (`Domain.room`), at most: of the labelled samples, and they stay."""
 POOL = 150_000
 """Points of the contact surface that are drawn from: to find one takes three closest points."""
+MOST_WRONG = 4.0
+"""Times the mean error: a sample that is more wrong is drawn no more often."""
 ROUNDS_KEPT, CLIMBERS = 3, 4096
 """Rounds of counter-examples that are learned from, and the worst candidates of a round that climb."""
 ASCENT = (0.08, 0.05, 0.03, 0.02, 0.01, 0.005)
@@ -98,6 +100,13 @@ def label(solid: OffsetSolid, points: Points, *, whole_depth: bool = False) -> S
         smooth,
         ~reachable,
     )
+
+
+def where_wrong(error: Float[np.ndarray, "n"], count: int, generator: np.random.Generator) -> Int[np.ndarray, "m"]:
+    """Draw so many samples, half of them in proportion to a field's error there: most where a part has moved."""
+    share = np.minimum(error / max(float(error.mean()), 1e-9), MOST_WRONG)
+    chance = 1.0 / len(error) + share / max(float(share.sum()), 1e-9)
+    return generator.choice(len(error), count, p=chance / chance.sum())
 
 
 def normalised(samples: Samples, domain: Domain, weight: Float[np.ndarray, "n"]) -> Batch:
@@ -276,8 +285,7 @@ def _peaks(points: Points, value: Float[np.ndarray, "n"]) -> np.ndarray:
 
 def _weights(error: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     """Return `HIGHEST` for the largest error, falling to 1 at none."""
-    error = np.maximum(error, 0.0)
-    return 1.0 + (HIGHEST - 1.0) * error / max(error.max(initial=0.0), 1e-9)
+    return 1.0 + (HIGHEST - 1.0) * np.maximum(error, 0.0) / max(error.max(initial=0.0), 1e-9)
 
 
 def _largest(value: Float[np.ndarray, "_"], count: int) -> np.ndarray:

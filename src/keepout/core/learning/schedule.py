@@ -17,9 +17,8 @@ from jaxtyping import Float32
 from keepout.core.errors import FieldError, require_finite
 from keepout.core.learning.losses import TrainingProfile
 
-BLOCK, ROUND = 250, 50
-"""Steps between progress reports, checkpoints and searches for counter-examples; in the last phase, and in one compiled
-loop."""
+BLOCK = 250
+"""Steps between progress reports, checkpoints and searches for counter-examples; the last phase has its own."""
 TUNING_RATE, POLISH_RATE = 0.4, 0.1
 """Learning rates at the start of the second and of the third phase, to that of the first."""
 SETTLING = 1 / 3
@@ -27,8 +26,10 @@ SETTLING = 1 / 3
 gained, and the certified side settles last."""
 POLISH = 300
 """Steps of the last phase of a fit that is to end by bound or time, where its profile has none."""
-SECOND = 0.125
-"""Share of all its profile's steps that a fit takes which begins with the field of a mesh that is nearly the same."""
+MOST_SECOND = 0.25
+"""Largest share of its profile's steps that a fit takes which begins with another field."""
+SLOWER_ROUND = 100
+"""Steps between searches in the polish of such a fit."""
 _HUNTS_TO_EXPECT = 4
 _HUNT = 200
 """Steps that a search for counter-examples is taken to last as long as, until there was one."""
@@ -36,7 +37,7 @@ _HUNT = 200
 
 def phase_blocks(profile: TrainingProfile) -> tuple[int, int, int]:
     """Count the blocks of each phase of a fit."""
-    return profile.steps // BLOCK, profile.tuning_steps // BLOCK, profile.polish_steps // ROUND
+    return profile.steps // BLOCK, profile.tuning_steps // BLOCK, profile.polish_steps // profile.polish_round
 
 
 def phase_of(profile: TrainingProfile, block: int) -> int:
@@ -47,7 +48,7 @@ def phase_of(profile: TrainingProfile, block: int) -> int:
 def block_lengths(profile: TrainingProfile) -> list[int]:
     """Give the steps of each block of a fit."""
     first, second, third = phase_blocks(profile)
-    return [BLOCK] * (first + second) + [ROUND] * third
+    return [BLOCK] * (first + second) + [profile.polish_round] * third
 
 
 def settling(profile: TrainingProfile, block: int) -> bool:
@@ -74,10 +75,14 @@ def learning_rates(profile: TrainingProfile, block: int) -> Float32[np.ndarray, 
     return np.asarray(jax.vmap(schedule)(jnp.arange(done, done + lengths[block])), np.float32)
 
 
-def shortened(profile: TrainingProfile) -> TrainingProfile:
-    """Give the numbers of a fit that begins with the field of nearly the same mesh: no first phase, and few steps."""
-    steps = math.ceil(SECOND * (profile.steps + profile.tuning_steps) / BLOCK) * BLOCK
-    return dataclasses.replace(profile, steps=0, tuning_steps=steps, polish_steps=profile.polish_steps or POLISH)
+def shortened(profile: TrainingProfile, error: float) -> TrainingProfile:
+    """Give the numbers of a fit that begins with another field, without a first phase.
+
+    The share of the steps that is taken is that field's mean error, relative to distance and `TrainingProfile.near`.
+    """
+    steps = math.ceil(min(error, MOST_SECOND) * (profile.steps + profile.tuning_steps) / BLOCK) * BLOCK
+    polish = math.ceil((profile.polish_steps or POLISH) / SLOWER_ROUND) * SLOWER_ROUND
+    return dataclasses.replace(profile, steps=0, tuning_steps=steps, polish_steps=polish, polish_round=SLOWER_ROUND)
 
 
 @dataclasses.dataclass(frozen=True)

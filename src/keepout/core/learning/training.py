@@ -30,17 +30,8 @@ from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.kept import digest
 from keepout.core.learning import losses
-from keepout.core.learning.samples import Hunt, Samples, label, normalised, training_points
-from keepout.core.learning.schedule import (
-    ROUND,
-    Ending,
-    Pace,
-    block_lengths,
-    learning_rates,
-    phase_of,
-    settling,
-    shortened,
-)
+from keepout.core.learning.samples import Hunt, Samples, label, normalised, training_points, where_wrong
+from keepout.core.learning.schedule import Ending, Pace, block_lengths, learning_rates, phase_of, settling, shortened
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 
@@ -94,7 +85,8 @@ def fit(
         seed: the same seed, target and profile on the same machine give the same field.
         checkpoint: a file kept up to date while training and deleted at the end; if it exists, the fit goes on from it.
         solid: the target's offset solid, if already built.
-        first: the field of a mesh that differs little; the fit begins with it, and takes an eighth of the steps.
+        first: the field of a mesh that differs little; the fit begins with it, learns most where it is wrong, and takes
+            the fewer steps, the less it is wrong.
         until_bound: m; once no over-statement above it is found, the rest of the steps is left out but for the last,
             which polish. The bound itself is `certify`'s to prove, and a few millimetres more.
         at_most: s, after which the fit ends, to a block: blocks that there is no time for are left out, evenly.
@@ -113,7 +105,7 @@ def fit(
     domain = Domain.around(distance)
     numbers = losses.find_profile(profile).for_size(domain.target_radius).for_chaser(chaser_radius)
     begun = None if first is None else layers_of(first, domain, numbers)
-    numbers = ending.of_profile(numbers if first is None else shortened(numbers))
+    numbers = numbers if begun else ending.of_profile(numbers)
     name = profile if isinstance(profile, str) else "custom"
     largest = domain.domain_radius - domain.target_radius
     if not 0.0 <= chaser_radius <= largest:
@@ -123,12 +115,19 @@ def fit(
     sealed = time.perf_counter()
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
-    points = training_points(distance, domain, numbers.samples, generator, room_share=numbers.room_share)
-    samples = label(solid, points, whole_depth=numbers.loss != "keepout")
+    count = numbers.samples // (2 if begun else 1)
+    points = training_points(distance, domain, count, generator, room_share=numbers.room_share)
+    samples = learned = label(solid, points, whole_depth=numbers.loss != "keepout")
+    weight = numbers.near / (np.abs(samples.distance) + numbers.near)
+    if begun:
+        excess = Learned(begun, numbers.beta, domain).value(points) - samples.distance
+        error = weight / numbers.near * np.where(samples.hidden, np.maximum(excess, 0.0), np.abs(excess))
+        drawn = where_wrong(error, numbers.samples, generator)
+        learned, weight, numbers = samples.picked(drawn), weight[drawn], shortened(numbers, error.mean())
     hunt = None
     if numbers.tuning_steps or numbers.polish_steps:
         hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, samples, generator)
-    data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
+    data = normalised(learned, domain, weight)
     seconds = {"solid": sealed - start, "labels": time.perf_counter() - sealed, "hunts": 0.0, "steps": 0.0}
     pace = Pace(numbers, ending, start)
     if pace.time_left <= 0.0:
@@ -227,7 +226,7 @@ class _Course:
         drawn = hard or batch < int(self.examples.known)
         sloped = self.examples.rows(batch - hard) if drawn else int(self.examples.sloped)
         terms, layers, optimizer = [], state.layers, state.optimizer
-        for n in range(0, len(rates), ROUND):
+        for n in range(0, len(rates), losses.ROUND):
             state = state._replace(layers=layers, optimizer=optimizer)
             layers, optimizer, *means = _train_round(
                 numbers,
@@ -237,15 +236,14 @@ class _Course:
                 self.examples,
                 jnp.float32(domain.learned_radius),
                 jax.random.fold_in(key, n),
-                rates[n : n + ROUND],
+                rates[n : n + losses.ROUND],
             )
             terms.append(means)
         value_term, slope_term = (jnp.stack(means).mean() for means in zip(*terms))
         points, distance = self.watched.points.astype(np.float64), self.watched.distance
         offset = Learned(layers, numbers.beta, domain).value(points) - distance
         reached = jnp.stack([value_term, slope_term, jnp.asarray(offset.mean(), jnp.float32)])
-        curve = state.curve.at[block].set(reached)
-        return state._replace(layers=layers, optimizer=optimizer, curve=curve)
+        return state._replace(layers=layers, optimizer=optimizer, curve=state.curve.at[block].set(reached))
 
     def record(self, state: _State, profile: str, chaser_radius: float, closing_radius: float) -> dict[str, Any]:
         """Give plain values for JSON: how a field was learned, and the loss's terms after each block that was taken."""

@@ -103,8 +103,7 @@ def exterior_band(
 def curvature(field: Field, solid: OffsetSolid, level: float, *, count: int = 10_000, seed: int = 0) -> Curvature:
     """Measure the Hessian's norm on exterior points at distance `level` metres from the surface."""
     points = _exterior_level(solid, level, count, np.random.default_rng(seed))
-    hessian = values_gradients_hessians(field, points)[2]
-    norm = np.abs(np.linalg.eigvalsh(hessian)).max(axis=1)
+    norm = np.abs(np.linalg.eigvalsh(values_gradients_hessians(field, points)[2])).max(axis=1)
     return Curvature(level, float(np.median(norm)), float(np.quantile(norm, 0.99)), float(norm.max()))
 
 

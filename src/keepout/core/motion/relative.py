@@ -85,8 +85,7 @@ class RelativeMotion(eqx.Module):
 
         The attitude and the tumbling rate given at construction are those at this time.
         """
-        numbers = (as_float64(value) for value in (position, velocity, time))
-        return _initial_state(self, *numbers)
+        return _initial_state(self, *map(as_float64, (position, velocity, time)))
 
     def drift_acceleration(self, state: MotionState) -> Vector:
         """Acceleration in body axes without force and disturbance, m/s²."""

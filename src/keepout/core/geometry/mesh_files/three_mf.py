@@ -42,8 +42,7 @@ def read_three_mf(path: Path) -> contents.MeshContents:
     except zipfile.BadZipFile as cause:
         raise MeshError(f"no whole ZIP archive: {cause}") from None
     with archive:
-        package = _Package(archive)
-        return package.whole()
+        return _Package(archive).whole()
 
 
 class _Package:
