@@ -210,9 +210,10 @@ def test_several_refusals_are_told_at_once(target, model):
 @pytest.mark.long
 def test_what_a_campaign_varies_is_looked_at(target, model):
     entries = {"chaser.mass": {"uniform": [-1.0, 22.0]}, "attitude.kind": {"choice": ["vvlh", "star"]}}
-    varied = straight(campaign={"dispersions": entries})
+    varied = straight(campaign={"dispersions": entries}, inspect={"stand_off": 2.0})
     found = check(varied, target=target, model=model)
     assert found.flies
+    assert found.remarks[0].startswith("[inspect] is flown by `keepout inspect`; what stands here is of a flight")
     assert "A campaign of 100 flights varies attitude.kind, chaser.mass (random)." in found.words
     assert [remark.split(" are refused")[0] for remark in found.remarks if "campaign" in remark] == [
         "runs of the campaign with attitude.kind = star",

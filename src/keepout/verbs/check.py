@@ -469,7 +469,11 @@ def _free_place(
 
 def _remarks(mission: Mission, estimate: Expected) -> tuple[str, ...]:
     """Say what is not refused and still worth knowing."""
-    found = []
+    found = [
+        f"[{verb}] is flown by `keepout {verb}`; what stands here is of a flight by `keepout fly`, to [goal]"
+        for verb in ("inspect", "explore")
+        if verb in mission.scenario.model_fields_set
+    ]
     duration = mission.scenario.duration
     if estimate.duration is None:
         found.append("the safe velocity does not lead to the goal: the law gets stuck, or another guidance is needed")
