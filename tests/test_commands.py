@@ -235,7 +235,6 @@ def test_a_fit_is_certified_in_the_same_command_and_no_search_beats_it(folder, f
     assert certificate.error_bound - 0.05 < worst <= certificate.error_bound
 
 
-@pytest.mark.slow  # what a fit is told is in test_cli, ends and first fields are in core/learning/test_schedule
 def test_a_fit_begins_with_another_field_and_ends_at_the_bound(folder, fitted):
     command = ("fit", "turned.toml", "-o", "second.keepout", *CHOSEN, "--from", "box.keepout", "--until-bound", 10.0)
     said = keepout_process(folder, *command, "--at-most", 600, "--json", program=ROUGH)
@@ -244,7 +243,8 @@ def test_a_fit_begins_with_another_field_and_ends_at_the_bound(folder, fitted):
     assert training["chaser_radius"] == 0.4
     assert said["ended"] == training["ended"] == "bound"
     assert said["sampled_maximum_m"] <= 10.0
-    assert (training["numbers"]["steps"], training["numbers"]["tuning_steps"]) == (0, 250)
+    numbers = [training["numbers"][name] for name in ("steps", "tuning_steps", "polish_steps", "polish_round")]
+    assert numbers == [0, 250, 100, 100]
 
 
 def test_certify_adds_another_certificate(folder, fitted):

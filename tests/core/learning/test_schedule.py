@@ -23,7 +23,7 @@ from keepout.core.learning.schedule import (
     BLOCK,
     POLISH,
     POLISH_RATE,
-    SLOWER_ROUND,
+    SECOND_ROUND,
     TUNING_RATE,
     Ending,
     Pace,
@@ -149,7 +149,7 @@ def test_a_second_fit_has_no_first_phase_and_the_fewer_steps_the_less_the_first_
     second = shortened(PROFILE, error)
     assert (second.steps, second.tuning_steps) == (0, blocks * BLOCK)
     assert phase_of(second, 0) == 1
-    assert block_lengths(second)[blocks:] == [SLOWER_ROUND] * 2
+    assert block_lengths(second)[blocks:] == [SECOND_ROUND] * 2
 
 
 def test_a_second_fit_learns_half_its_points_where_the_first_field_is_wrong_and_half_everywhere():

@@ -103,7 +103,7 @@ def label(solid: OffsetSolid, points: Points, *, whole_depth: bool = False) -> S
 
 
 def where_wrong(error: Float[np.ndarray, "n"], count: int, generator: np.random.Generator) -> Int[np.ndarray, "m"]:
-    """Draw so many samples, half of them in proportion to a field's error there: most where a part has moved."""
+    """Draw the indices of so many samples, half of them in proportion to an error at each: most where a part moved."""
     share = np.minimum(error / max(float(error.mean()), 1e-9), MOST_WRONG)
     chance = 1.0 / len(error) + share / max(float(share.sum()), 1e-9)
     return generator.choice(len(error), count, p=chance / chance.sum())

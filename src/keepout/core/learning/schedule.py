@@ -26,10 +26,9 @@ SETTLING = 1 / 3
 gained, and the certified side settles last."""
 POLISH = 300
 """Steps of the last phase of a fit that is to end by bound or time, where its profile has none."""
-MOST_SECOND = 0.25
-"""Largest share of its profile's steps that a fit takes which begins with another field."""
-SLOWER_ROUND = 100
-"""Steps between searches in the polish of such a fit."""
+SECOND_SHARE, SECOND_ROUND = 0.25, 100
+"""Largest share of its profile's steps that a fit takes which begins with another field, and the steps between searches
+in its polish."""
 _HUNTS_TO_EXPECT = 4
 _HUNT = 200
 """Steps that a search for counter-examples is taken to last as long as, until there was one."""
@@ -78,11 +77,14 @@ def learning_rates(profile: TrainingProfile, block: int) -> Float32[np.ndarray, 
 def shortened(profile: TrainingProfile, error: float) -> TrainingProfile:
     """Give the numbers of a fit that begins with another field, without a first phase.
 
-    The share of the steps that is taken is that field's mean error, relative to distance and `TrainingProfile.near`.
+    Args:
+        profile: of a fit anew.
+        error: mean |f̃ - d| / (|d| + `near`) of that field on the new mesh's samples: the share of the steps it takes.
+
     """
-    steps = math.ceil(min(error, MOST_SECOND) * (profile.steps + profile.tuning_steps) / BLOCK) * BLOCK
-    polish = math.ceil((profile.polish_steps or POLISH) / SLOWER_ROUND) * SLOWER_ROUND
-    return dataclasses.replace(profile, steps=0, tuning_steps=steps, polish_steps=polish, polish_round=SLOWER_ROUND)
+    steps = math.ceil(min(error, SECOND_SHARE) * (profile.steps + profile.tuning_steps) / BLOCK) * BLOCK
+    polish = math.ceil((profile.polish_steps or POLISH) / SECOND_ROUND) * SECOND_ROUND
+    return dataclasses.replace(profile, steps=0, tuning_steps=steps, polish_steps=polish, polish_round=SECOND_ROUND)
 
 
 @dataclasses.dataclass(frozen=True)
