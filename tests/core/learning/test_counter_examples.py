@@ -13,7 +13,7 @@ from keepout.core.learning.samples import COPIES, HIGHEST, JITTER, ROUNDS_KEPT, 
 pytestmark = pytest.mark.long
 
 HEIGHT, WIDTH, WEBS = 0.2, 0.04, 300
-PROFILE = TrainingProfile(webs=WEBS)
+PROFILE = TrainingProfile(webs=WEBS, room_share=0.0)
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +24,7 @@ def _fewer_candidates(monkeypatch):
 @functools.cache
 def prepared(solid, chaser_radius):
     domain = Domain.around(solid.distance)
-    points = samples.training_points(solid.distance, domain, 100_000, np.random.default_rng(0))
+    points = samples.training_points(solid.distance, domain, 100_000, np.random.default_rng(0), PROFILE)
     return Hunt.prepare(solid, domain, chaser_radius, PROFILE, samples.label(solid, points), np.random.default_rng(1))
 
 

@@ -61,9 +61,8 @@ def test_steps_of_two_meshes_are_one_program_and_count_each_kind_in_its_true_sha
         state = training._initial(profile, whole, 0, 0)
         sloped = parts.rows(profile.batch)
         assert sloped == 40
-        _, _, value_mean, slope_mean = training._train_round(
-            profile, 0, sloped, state, parts, jnp.float32(SCALE), jax.random.key(0), np.zeros(400, np.float32)
-        )
+        given = jnp.float32(SCALE), jnp.float32(1e-6), jax.random.key(0), np.zeros(400, np.float32)
+        _, _, value_mean, slope_mean = training._train_round(profile, 0, sloped, state, parts, *given)
         compiled.append(training._train_round._cache_size())
         value_term, slope_term = losses.terms(state.layers, profile, SCALE, whole, count)
         assert float(value_mean) == pytest.approx(float(value_term.mean()), rel=0.03)
@@ -77,11 +76,28 @@ def test_a_step_of_all_points_takes_each_as_it_is():
     whole = labelled(80, 0.57)
     parts = losses.Parted.by(profile, whole)
     state = training._initial(profile, whole, 0, 0)
-    given = (state, parts, jnp.float32(SCALE), jax.random.key(0), np.zeros(1, np.float32))
+    given = (state, parts, jnp.float32(SCALE), jnp.float32(0.7), jax.random.key(0), np.zeros(1, np.float32))
     _, _, value_mean, slope_mean = training._train_round(profile, 0, int(parts.sloped), *given)
-    value_term, slope_term = losses.terms(state.layers, profile, SCALE, whole, 80)
+    value_term, slope_term = losses.terms(state.layers, profile, SCALE, whole, 80, 0.7)
     assert float(value_mean) == pytest.approx(float(value_term.mean()), rel=1e-5)
     assert float(slope_mean) == pytest.approx(float(slope_term.mean()), rel=1e-5)
+
+
+@pytest.mark.long
+def test_a_gradient_that_is_learned_of_a_share_of_the_samples_counts_as_that_of_all():
+    """Every other sample has it: on average over both halves the term is that of all, and the value's is the same."""
+    profile = dataclasses.replace(PROFILE, samples=80, batch=80, width=8, depth=1, gradient_share=0.5)
+    whole = labelled(80, 1.0)
+    means = []
+    for order in (np.arange(80), np.roll(np.arange(80), 1)):
+        parts = losses.Parted.by(profile, losses.Batch(*(column[order] for column in whole)))
+        assert int(parts.sloped) == 40
+        state = training._initial(profile, whole, 0, 0)
+        given = (state, parts, jnp.float32(SCALE), jnp.float32(1e-6), jax.random.key(0), np.zeros(1, np.float32))
+        means.append(training._train_round(profile, 0, 40, *given)[2:])
+    value_term, slope_term = losses.terms(state.layers, profile, SCALE, whole, 80)
+    np.testing.assert_allclose([value for value, _ in means], float(value_term.mean()), rtol=1e-5)
+    assert np.mean([slope for _, slope in means]) == pytest.approx(float(slope_term.mean()), rel=1e-5)
 
 
 @pytest.mark.long
@@ -106,6 +122,10 @@ def test_the_keepout_loss_by_hand():
     value_term, slope_term = jax.jit(lambda batch: losses.terms(layers, profile, SCALE, batch, 1))(batch)
     np.testing.assert_allclose(value_term, [2.0 * 0.4, 3.0 * 0.8, 0.0], rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(slope_term, [PROFILE.gradient_weight / (1.0 + abs(distance[0]))], rtol=1e-4)
+    bent, _ = jax.jit(lambda batch: losses.terms(layers, profile, SCALE, batch, 1, 0.4))(batch)
+    np.testing.assert_allclose(bent, [2.0 * 0.4 * 0.8, 3.0 * 0.8 * 0.8, 0.0], rtol=1e-4, atol=1e-5)
+    squared, _ = jax.jit(lambda batch: losses.terms(layers, profile, SCALE, batch, 1, 4.0))(batch)
+    np.testing.assert_allclose(squared, [2.0 * 0.4 / 8.0, 3.0 * 0.8 / 8.0, 0.0], rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.long
@@ -137,6 +157,24 @@ def test_a_batch_is_of_the_samples_that_there_are(batch):
     assert changed.batch == 77
     assert changed.large is not None
     assert changed.large.batch == 77
+
+
+def test_a_surface_start_bends_at_points_of_the_surface_and_weighs_them_unequally():
+    """Where the distance is least and no point hidden; sizes a third to three times those of the start without."""
+    profile = dataclasses.replace(PROFILE, start="surface", width=64)
+    whole = labelled(2000, 0.5)
+    whole = whole._replace(distance=jnp.abs(whole.x[:, 0]))
+    first = training._initial(profile, whole, 1, 0).layers
+    weights, biases = np.asarray(first.weights[0]), np.asarray(first.biases[0])
+    nearest = np.argsort(np.where(whole.hidden, np.inf, whole.distance))[:200]
+    away = np.abs(np.asarray(whole.x) @ weights.T + biases).argmin(axis=0)
+    assert np.isin(away, nearest).all()
+    plain = training._initial(dataclasses.replace(profile, start="he"), whole, 1, 0).layers
+    ratio = weights / np.asarray(plain.weights[0])
+    np.testing.assert_allclose(ratio, ratio[:, :1].repeat(3, axis=1), rtol=1e-5)
+    assert ratio.min() >= np.exp(-1.0)
+    assert ratio.max() <= np.exp(1.0)
+    assert np.ptp(ratio) > 1.0
 
 
 def test_a_geometric_start_is_about_the_distance_to_half_the_unit_ball():

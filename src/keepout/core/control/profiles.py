@@ -409,8 +409,7 @@ def default(
 def _with_gains(tuning: Tuning, gains: dict[str, float]) -> Tuning:
     unknown = set(gains) - set(vars(tuning))
     if unknown:
-        names = ", ".join(vars(tuning))
-        raise ControlError(f"gains: {', '.join(sorted(unknown))} not known; the law has {names}")
+        raise ControlError(f"gains: {', '.join(sorted(unknown))} not known; the law has {', '.join(vars(tuning))}")
     return replace(tuning, **gains)
 
 

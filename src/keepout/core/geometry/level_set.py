@@ -32,8 +32,7 @@ def surface_points(distance: Distance, count: int, generator: np.random.Generato
     each = generator.integers(len(areas), size=count - len(uniform))
     face = np.concatenate([uniform, each])
     u, v = generator.random((2, count))
-    flip = u + v > 1.0
-    u, v = np.where(flip, 1.0 - u, u), np.where(flip, 1.0 - v, v)
+    u, v = np.where(u + v > 1.0, [1.0 - u, 1.0 - v], [u, v])
     a, b, c = corners[face].transpose(1, 0, 2)
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)
 
@@ -97,13 +96,10 @@ def level_points(
 
     They start at `sharp_points`, or `uniform` over the surface.
     """
-    sample = surface_points if uniform else sharp_points
-    start = sample(distance, count, generator)
+    start = (surface_points if uniform else sharp_points)(distance, count, generator)
     if level == 0.0:
         return start
-    direction = generator.normal(size=start.shape)
-    start = start + level * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    return onto_level(distance, start, level)
+    return onto_level(distance, start + level * random_directions(generator, len(start)), level)
 
 
 def largest_on_level(

@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from jaxtyping import Array, Bool, Float32, Int
 
 from keepout.core.errors import FieldError
@@ -20,6 +21,7 @@ from keepout.core.fields import neural
 from keepout.core.fields.continuation import Vectors
 from keepout.core.fields.neural import Kept, Layers, sweeps, times
 
+Number = float | Float32[Array, ""]
 LARGE_TARGET = 20.0
 """Metres. A target whose bounding ball is larger gets the profile's numbers for large targets, where it has any."""
 BEYOND_CONTACT = 0.7
@@ -40,8 +42,9 @@ class TrainingProfile:
             "paper_pinball": the paper's loss with L_P read as κ max(e, 0) + max(-e, 0), e = f̃ - d. "paper_printed":
             L_P = (κ-1) max(e, 0) as printed, whose minimum is f̃ → -∞.
         width, depth: hidden layers.
-        start: of the weights: "he" (He et al. 2015), or "geometric" (Atzmon, Lipman 2020): about the distance to half
-            the unit ball, as the method has it that the paper builds on.
+        start: of the weights: "he" (He et al. 2015); "surface", the same, but that the first layer's neurons bend at
+            points of the surface and their weights are of many sizes; or "geometric" (Atzmon, Lipman 2020): about the
+            distance to half the unit ball, as the method has it that the paper builds on.
         first_scale: of the first layer's weights, over He's: the larger, the finer is what a network begins with.
         beta: sharpness of the softplus, in normalised units.
         samples: labelled points.
@@ -56,6 +59,8 @@ class TrainingProfile:
             webs grow in the corners between panels; with as many as of the over-statements the surface suffers.
         near: metres; errors count in proportion to near/(|g| + near), g the signed distance, so that the surface
             matters most and the far field is not lost (keepout loss).
+        spread: metres; distances from the surface between which samples are drawn evenly in the logarithm; at most 0.6
+            of the target's radius.
         room_share: share of the samples that are spread over the room next to the surface (`samples.room_points`);
             the rest has few in gaps that are wide, and small beside the target.
         optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
@@ -67,7 +72,10 @@ class TrainingProfile:
         over_weight: weight of over-statement against under-statement, 0.5 to 1, in the near field (keepout loss).
         far_over_weight: the same beyond the near field, where over-statement costs no safety.
         near_field: metres from the surface up to which over-statement is held and hunted; `for_chaser` extends it.
+        squared_below: metres, until the last phase and in it; a distance error below this counts by its square, so that
+            what is nearly right does not tug at what is wrong, all others by their amount (keepout loss).
         gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper).
+        gradient_share: of the samples that have a gradient, those of which it is learned (keepout loss).
         kappa: κ of the paper's loss.
         large: the numbers for a target larger than `LARGE_TARGET`; None: the same.
 
@@ -76,7 +84,7 @@ class TrainingProfile:
     loss: Literal["keepout", "paper_pinball", "paper_printed"] = "keepout"
     width: int = 96
     depth: int = 4
-    start: Literal["he", "geometric"] = "he"
+    start: Literal["he", "surface", "geometric"] = "he"
     first_scale: float = 1.84
     beta: float = 100.0
     samples: int = 300_000
@@ -88,6 +96,7 @@ class TrainingProfile:
     worst: int = 1_500
     webs: int = 500
     near: float = 0.2
+    spread: tuple[float, float] = (0.005, 100.0)
     room_share: float = 0.45
     optimizer: Literal["adam", "muon"] = "muon"
     learning_rate: float = 5e-3
@@ -97,7 +106,9 @@ class TrainingProfile:
     over_weight: float = 0.8
     far_over_weight: float = 0.8
     near_field: float = 1.2
+    squared_below: tuple[float, float] = (0.02, 0.02)
     gradient_weight: float = 0.15
+    gradient_share: float = 1.0
     kappa: float = 2.0
     large: "TrainingProfile | None" = None
 
@@ -114,8 +125,7 @@ class TrainingProfile:
         """
         if not 1 <= batch <= self.samples:
             raise FieldError(f"batch {batch}: it must be between 1 and the profile's {self.samples} samples")
-        large = None if self.large is None else self.large.with_batch(batch)
-        return dataclasses.replace(self, batch=batch, large=large)
+        return dataclasses.replace(self, batch=batch, large=self.large and self.large.with_batch(batch))
 
     def for_chaser(self, radius: float) -> "TrainingProfile":
         """Return the numbers for a chaser of this radius, metres: the near field reaches beyond where it touches."""
@@ -127,13 +137,17 @@ _STATION = dataclasses.replace(
     _MORE,
     width=160,
     depth=5,
-    steps=5_000,
-    tuning_steps=3_500,
+    start="surface",
+    steps=4_000,
+    tuning_steps=2_750,
     webs=300,
     near=0.4,
+    spread=(0.03, 10.0),
     room_share=0.25,
     over_weight=0.65,
     far_over_weight=0.5,
+    squared_below=(0.1, 1e-6),
+    gradient_share=0.5,
 )
 _FINE_STATION = dataclasses.replace(_STATION, steps=10_000, tuning_steps=7_000, polish_steps=900, worst=3_000)
 _PAPER = TrainingProfile(
@@ -205,8 +219,8 @@ class Parted(NamedTuple):
     @classmethod
     def by(cls, profile: TrainingProfile, data: Batch) -> "Parted":
         """Part points as the profile's loss takes them: the paper's asks every point for a gradient."""
-        sloped = np.asarray(data.smooth) | (profile.loss != "keepout")
-        count = len(sloped)
+        count, share = len(data.smooth), profile.gradient_share
+        sloped = np.asarray(data.smooth) & (np.arange(count) * share % 1.0 < share) | (profile.loss != "keepout")
         spare = max(profile.samples - count, 0) if profile.batch < count else 0
         order = np.concatenate([np.flatnonzero(sloped), np.flatnonzero(~sloped), np.zeros(spare, np.int64)])
         points = Batch(*(jnp.asarray(np.asarray(column)[order]) for column in data))
@@ -225,19 +239,19 @@ class Parted(NamedTuple):
 
 
 def keepout_terms(
-    layers: Layers, profile: TrainingProfile, scale: float | Float32[Array, ""], batch: Batch, sloped: int
+    layers: Layers, profile: TrainingProfile, scale: Number, batch: Batch, sloped: int, bend: Number
 ) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
     """For each point: the weighted pinball of the distance error; for the first ones, the squared gradient error.
 
-    Where the point is hidden, only over-statement counts.
+    Where the point is hidden, only over-statement counts. An error e below b = `bend`, metres, counts as e²/(2b), and
+    one above as e - b/2 (Huber 1964).
     """
     y, gradient = value_and_gradient(layers, profile.beta, batch.x[:sloped])
     y = jnp.concatenate([y, neural.value(layers, profile.beta, batch.x[sloped:])])
     e = y * jnp.float32(scale) - batch.distance
-    over, under = jnp.maximum(e, 0.0), jnp.where(batch.hidden, 0.0, jnp.maximum(-e, 0.0))
-    near = batch.distance < profile.near_field
-    tau = jnp.where(near, jnp.float32(profile.over_weight), jnp.float32(profile.far_over_weight))
-    value_term = batch.weight * (tau * over + (1 - tau) * under)
+    size = optax.losses.huber_loss(e, delta=bend) / bend
+    tau = jnp.where(batch.distance < profile.near_field, profile.over_weight, profile.far_over_weight)
+    value_term = batch.weight * jnp.where(e > 0.0, tau, jnp.where(batch.hidden, 0.0, 1.0 - tau)) * size
     first = Batch(*(column[:sloped] for column in batch))
     difference = jnp.sum((gradient - first.gradient) ** 2, axis=-1)
     slope_term = jnp.float32(profile.gradient_weight) * first.smooth * difference / (1 + jnp.abs(first.distance))
@@ -245,7 +259,7 @@ def keepout_terms(
 
 
 def paper_terms(
-    layers: Layers, profile: TrainingProfile, scale: float | Float32[Array, ""], batch: Batch
+    layers: Layers, profile: TrainingProfile, scale: Number, batch: Batch
 ) -> tuple[Float32[Array, "n"], Float32[Array, "n"]]:
     """For each point: L_P and η L_E, after Zhou et al. Section IV, in normalised units.
 
@@ -254,21 +268,20 @@ def paper_terms(
     """
     y, gradient = value_and_gradient(layers, profile.beta, batch.x)
     e = y - batch.distance / jnp.float32(scale)
-    kappa = jnp.float32(profile.kappa)
     if profile.loss == "paper_printed":
-        value_term = (kappa - 1) * jnp.maximum(e, 0.0)
+        value_term = (profile.kappa - 1) * jnp.maximum(e, 0.0)
     else:
-        value_term = kappa * jnp.maximum(e, 0.0) + jnp.maximum(-e, 0.0)
+        value_term = profile.kappa * jnp.maximum(e, 0.0) + jnp.maximum(-e, 0.0)
     norm = jnp.sqrt(jnp.sum(gradient * gradient, axis=-1) + jnp.float32(1e-12))
     return value_term, jnp.float32(profile.gradient_weight) * (norm - 1) ** 2
 
 
 def terms(
-    layers: Layers, profile: TrainingProfile, scale: float | Float32[Array, ""], batch: Batch, sloped: int
+    layers: Layers, profile: TrainingProfile, scale: Number, batch: Batch, sloped: int, bend: Number = 1e-6
 ) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
     """Return the two terms of the profile's loss: at each point, and at the first ones, which have a gradient term."""
     if profile.loss == "keepout":
-        return keepout_terms(layers, profile, scale, batch, sloped)
+        return keepout_terms(layers, profile, scale, batch, sloped, bend)
     return paper_terms(layers, profile, scale, batch)
 
 

@@ -124,24 +124,24 @@ def room_points(distance: Distance, domain: Domain, count: int, generator: np.ra
 
 
 def training_points(
-    distance: Distance, domain: Domain, count: int, generator: np.random.Generator, *, room_share: float = 0.0
+    distance: Distance, domain: Domain, count: int, generator: np.random.Generator, profile: TrainingProfile
 ) -> Points:
     """Points around the target: on the surface, log-uniform in distance from it, in the room next to it, in the ball.
 
-    Those in the ball are spread over the learned one, a little denser inside.
+    Those in the ball are spread over the learned one, a little denser inside. The profile says how many are in the
+    room, and from where to where the logarithm reaches.
     """
-    on, volume, room = count // 10, count // 6, round(room_share * count)
+    on, volume, room = count // 10, count // 6, round(profile.room_share * count)
     near = count - on - volume - room
     start = surface_points(distance, on + near, generator, by_area=0.5)
     direction = random_directions(generator, on + near)
-    length = np.exp(generator.uniform(np.log(5e-3), np.log(0.6 * domain.target_radius), size=on + near))
+    length = np.exp(generator.uniform(*np.log(np.minimum(profile.spread, 0.6 * domain.target_radius)), size=on + near))
     length[:on] = 0.0
     ball = generator.normal(size=(volume, 3))
     ball *= (domain.learned_radius * generator.random(volume) ** (1 / 2.2) / np.linalg.norm(ball, axis=1))[:, None]
     between = room_points(distance, domain, room, generator)
     points = np.concatenate([start + length[:, None] * direction, ball + domain.centre, between])
-    inside = np.linalg.norm(points - domain.centre, axis=1) <= domain.learned_radius
-    return points[inside]
+    return points[np.linalg.norm(points - domain.centre, axis=1) <= domain.learned_radius]
 
 
 @runtime_checkable

@@ -106,7 +106,6 @@ def fit(
     numbers = losses.find_profile(profile).for_size(domain.target_radius).for_chaser(chaser_radius)
     begun = None if first is None else layers_of(first, domain, numbers)
     numbers = numbers if begun else ending.of_profile(numbers)
-    name = profile if isinstance(profile, str) else "custom"
     largest = domain.domain_radius - domain.target_radius
     if not 0.0 <= chaser_radius <= largest:
         raise FieldError(f"chaser radius {chaser_radius:g} m: for {target.name} it must be 0 to {largest:.3g} m")
@@ -116,7 +115,7 @@ def fit(
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
     count = numbers.samples // (2 if begun else 1)
-    points = training_points(distance, domain, count, generator, room_share=numbers.room_share)
+    points = training_points(distance, domain, count, generator, numbers)
     samples = learned = label(solid, points, whole_depth=numbers.loss != "keepout")
     weight = numbers.near / (np.abs(samples.distance) + numbers.near)
     if begun:
@@ -136,15 +135,15 @@ def fit(
     course = _Course(numbers, domain, hunt, losses.Parted.by(numbers, data), _watched(samples), seed, seconds, pace)
 
     entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(numbers), chaser_radius, seed]
-    if first is not None:
-        entries.append(first.sha256)
+    entries.append(first and first.sha256)
     kept = None if checkpoint is None else _Checkpoint(checkpoint, digest(json.dumps(entries)))
     initial = _initial(numbers, data, hunt.kept if hunt else 0, seed)
-    if begun is not None:
-        initial = initial._replace(layers=begun)
+    initial = initial._replace(layers=begun or initial.layers)
     state = course.taken(initial, kept, target.name, part_of(progress, 0.1, 0.99))
     field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
-    training = course.record(state, name, chaser_radius, solid.closing_radius)
+    training = course.record(
+        state, profile if isinstance(profile, str) else "custom", chaser_radius, solid.closing_radius
+    )
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     progress(1.0, "done")
@@ -235,13 +234,14 @@ class _Course:
                 state,
                 self.examples,
                 jnp.float32(domain.learned_radius),
+                jnp.float32(numbers.squared_below[phase_of(numbers, block) // 2]),
                 jax.random.fold_in(key, n),
                 rates[n : n + losses.ROUND],
             )
             terms.append(means)
         value_term, slope_term = (jnp.stack(means).mean() for means in zip(*terms))
-        points, distance = self.watched.points.astype(np.float64), self.watched.distance
-        offset = Learned(layers, numbers.beta, domain).value(points) - distance
+        learned = Learned(layers, numbers.beta, domain)
+        offset = learned.value(self.watched.points.astype(np.float64)) - self.watched.distance
         reached = jnp.stack([value_term, slope_term, jnp.asarray(offset.mean(), jnp.float32)])
         return state._replace(layers=layers, optimizer=optimizer, curve=state.curve.at[block].set(reached))
 
@@ -271,7 +271,8 @@ class _Course:
 def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: int, seed: int) -> _State:
     """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive.
 
-    Or so that the network starts as the distance to a ball of half the unit's radius (Atzmon, Lipman 2020, section 4).
+    Or the kinks go through some of the tenth of the points that is nearest to the surface, each a third to three times
+    as sharp. Or the network starts as the distance to half the unit ball (Atzmon, Lipman 2020, section 4).
     """
     width, depth = profile.width, profile.depth
     sizes = [3] + [width] * depth + [1]
@@ -289,11 +290,16 @@ def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: in
         weights[0] = weights[0] * jnp.float32(profile.first_scale)
         weights[-1] = weights[-1] * jnp.float32(0.5)
         biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
+        if profile.start == "surface":
+            sizes, places = jax.random.split(keys[-1])
+            weights[0] = weights[0] * jnp.exp(jax.random.uniform(sizes, (width, 1), jnp.float32, -1.0, 1.0))
+            nearest = np.argsort(np.where(data.hidden, np.inf, np.abs(data.distance)))[: max(len(data.x) // 10, width)]
+            biases[0] = -jnp.sum(weights[0] * data.x[jax.random.choice(places, nearest, (width,))], axis=1)
     layers = neural.Layers(tuple(weights), tuple(biases))
     hard = jax.tree.map(lambda a: jnp.resize(a, (hard_count, *a.shape[1:])), data)
-    optimizer = _optimizer(profile).init(layers)
+    optimizer, worst = _optimizer(profile).init(layers), jnp.asarray(jnp.inf, jnp.float32)
     curve = jnp.full((len(block_lengths(profile)), len(CURVE)), jnp.nan, jnp.float32)
-    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32), curve)
+    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), worst, curve)
 
 
 def layers_of(model: FieldModel, domain: Domain, numbers: losses.TrainingProfile) -> neural.Layers:
@@ -341,11 +347,8 @@ def _optimizer(profile: losses.TrainingProfile) -> optax.GradientTransformation:
 
 def _hidden_matrices(layers: Any) -> Any:
     """Muon is for matrices between hidden layers; the first and the last are coordinates and one output."""
-    last = len(layers.weights) - 1
-    hidden = optax.contrib.MuonDimensionNumbers()
-    weights: Any = tuple(hidden if 0 < i < last else None for i in range(last + 1))
-    biases: Any = tuple(None for _ in layers.biases)
-    return neural.Layers(weights, biases)
+    hidden: Any = (optax.contrib.MuonDimensionNumbers(),) * (len(layers.weights) - 2)
+    return layers._replace(weights=(None, *hidden, None), biases=(None,) * len(layers.biases))
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=WIDE)
@@ -356,13 +359,15 @@ def _train_round(
     state: _State,
     data: losses.Parted,
     scale: Float32[Array, ""],
+    bend: Float32[Array, ""],
     key: Array,
     rates: Float32[Array, "steps"],
 ):
     """Take a step for each of the rates, in one compiled loop.
 
     A step's points are `hard` counter-examples, `sloped` points with a gradient, and the rest without. Those of the
-    latter two kinds count as if they were drawn in the shares in which there are some.
+    latter two kinds count as if they were drawn in the shares in which there are some, and a gradient as if all samples
+    that have one were learned with it.
     """
     optimizer = _optimizer(profile)
     batch = min(profile.batch, len(data.points.x))
@@ -373,8 +378,9 @@ def _train_round(
         weight = weight.at[first : first + rows].set(of_all * easy / max(rows, 1))
 
     def loss(layers: neural.Layers, rows: losses.Batch):
-        value_term, slope_term = losses.terms(layers, profile, scale, rows, hard + sloped)
-        value_mean, slope_mean = jnp.mean(weight * value_term), jnp.sum(weight[: hard + sloped] * slope_term) / batch
+        value_term, slope_term = losses.terms(layers, profile, scale, rows, hard + sloped, bend)
+        slope_weight = weight[: hard + sloped].at[hard:].divide(profile.gradient_share)
+        value_mean, slope_mean = jnp.mean(weight * value_term), jnp.sum(slope_weight * slope_term) / batch
         return value_mean + slope_mean, (value_mean, slope_mean)
 
     def step(carry, now):

@@ -133,8 +133,7 @@ class Mission:
 
         """
         require_law(law, self.initial)
-        flown = broken_as(self.scenario, law, self.model.field)
-        return replace(self, setup=replace(self.setup, controller=flown))
+        return replace(self, setup=replace(self.setup, controller=broken_as(self.scenario, law, self.model.field)))
 
     def with_guard(self, guard: SafetyLayer | None) -> "Mission":
         """Give the same mission with another safety layer, or none; nothing is certified of it.

@@ -456,5 +456,4 @@ def stated_error_bound(field: FunctionField, target: Target, chaser_radius: floa
     if not 0.0 <= chaser_radius < np.inf:
         raise FieldError(f"error bound: chaser radius {chaser_radius} m; it must be 0 or more, and finite")
     centres, half = straddling_cells(target.distance, chaser_radius, leaf=leaf)
-    most = values(field, centres) + field.lipschitz * np.sqrt(3.0) * half
-    return float(most.max()) - chaser_radius
+    return float((values(field, centres) + field.lipschitz * np.sqrt(3.0) * half).max()) - chaser_radius

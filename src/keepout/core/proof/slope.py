@@ -201,8 +201,7 @@ def slope_bounds(
         strayed = prepared.spectral[depth] * (moved + largest * strayed)
         row, stray = scaled @ prepared.network.weights[depth], reach @ prepared.absolute[depth]
     corners = row + np.einsum("cj,mjk->cmk", CORNERS, linear)
-    bound = np.linalg.norm(np.abs(corners) + rest, axis=2).max(axis=0)
-    return bound * (1.0 + 1e-9) + prepared.rounding
+    return np.linalg.norm(np.abs(corners) + rest, axis=2).max(axis=0) * (1.0 + 1e-9) + prepared.rounding
 
 
 def _forward(
