@@ -106,7 +106,7 @@ class TrainingProfile:
     over_weight: float = 0.8
     far_over_weight: float = 0.8
     near_field: float = 1.2
-    squared_below: tuple[float, float] = (0.02, 0.02)
+    squared_below: tuple[float, float] = (0.02, 0.005)
     gradient_weight: float = 0.15
     gradient_share: float = 1.0
     kappa: float = 2.0
