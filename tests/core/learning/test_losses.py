@@ -10,6 +10,7 @@ from truths.networks import random_layers
 
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
+from keepout.core.geometry.target import Target
 from keepout.core.learning import losses, training
 from keepout.core.learning.losses import PROFILES
 
@@ -147,6 +148,21 @@ def test_the_second_sweep_is_the_derivative_that_jax_finds(shape):
         for a, b in zip(jax.tree.leaves(ours_gradient), jax.tree.leaves(truth_gradient), strict=True):
             assert a.shape == b.shape
             np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * float(np.abs(b).max()))
+
+
+@pytest.mark.long
+def test_small_errors_count_by_their_square_up_to_what_the_profile_says_of_each_phase(monkeypatch):
+    told = []
+
+    def nothing(profile, hard, sloped, state, data, scale, bend, key, rates):
+        told.append((hard > 0, float(bend)))
+        return state.layers, state.optimizer, jnp.float32(0.0), jnp.float32(0.0)
+
+    monkeypatch.setattr(training, "_train_round", nothing)
+    numbers = {"width": 8, "depth": 2, "samples": 2000, "batch": 64, "steps": 250, "tuning_steps": 250}
+    profile = losses.TrainingProfile(**numbers, polish_steps=100, squared_below=(0.5, 0.25))
+    training.fit(Target.load("box"), profile=profile)
+    assert told == 5 * [(False, 0.5)] + 5 * [(True, 0.5)] + 2 * [(True, 0.25)]
 
 
 @pytest.mark.parametrize("batch", [0, -3, 300_001])

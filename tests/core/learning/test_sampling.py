@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from keepout.core.fields.continuation import Domain
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
-from keepout.core.learning.samples import HIDDEN_DEPTH, label
+from keepout.core.learning.losses import TrainingProfile
+from keepout.core.learning.samples import HIDDEN_DEPTH, label, training_points
 
 HALF = np.array([2.0, 1.5, 1.2])
 OFFSET = 0.001
@@ -32,6 +34,18 @@ def solid_of(meshes, tmp_path):
 @pytest.fixture
 def box(tmp_path):
     return solid_of([trimesh.creation.box(extents=2 * HALF)], tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("spread", "farthest"), [((0.05, 0.2), 0.2), ((0.05, 100.0), 0.6 * np.linalg.norm(HALF))])
+def test_samples_next_to_the_surface_lie_between_the_distances_that_the_profile_says(box, spread, farthest):
+    """In that order: on the surface, next to it, in the ball."""
+    profile = TrainingProfile(spread=spread, room_share=0.0)
+    points = training_points(box.distance, Domain.around(box.distance), 6000, np.random.default_rng(0), profile)
+    on, near = points[:600], points[600:5000]
+    assert box.distance.distance(on).max() < 1e-9
+    assert box.distance.distance(near).max() <= farthest
+    assert box.distance.distance(near).max() > 0.9 * farthest
 
 
 @pytest.mark.long
