@@ -72,8 +72,9 @@ class TrainingProfile:
         over_weight: weight of over-statement against under-statement, 0.5 to 1, in the near field (keepout loss).
         far_over_weight: the same beyond the near field, where over-statement costs no safety.
         near_field: metres from the surface up to which over-statement is held and hunted; `for_chaser` extends it.
-        squared_below: metres, above 0, until the last phase and in it; a distance error below this counts by its square,
-            so that what is nearly right does not tug at what is wrong, all others by their amount (keepout loss).
+        squared_below: metres, above 0, until the last phase and in it; a distance error below it counts by its square,
+            so that what is nearly right does not tug at what is wrong, all others by their amount (keepout loss). A
+            satellite would lose more of its bound by it than its mean error gains.
         gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper).
         gradient_share: of the samples that have a gradient, those of which it is learned (keepout loss).
         kappa: κ of the paper's loss.
@@ -106,7 +107,7 @@ class TrainingProfile:
     over_weight: float = 0.8
     far_over_weight: float = 0.8
     near_field: float = 1.2
-    squared_below: tuple[float, float] = (0.02, 0.005)
+    squared_below: tuple[float, float] = (1e-6, 1e-6)
     gradient_weight: float = 0.15
     gradient_share: float = 1.0
     kappa: float = 2.0
