@@ -101,6 +101,12 @@ def test_a_gradient_that_is_learned_of_a_share_of_the_samples_counts_as_that_of_
     assert np.mean([slope for _, slope in means]) == pytest.approx(float(slope_term.mean()), rel=1e-5)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.5, 0.7, 1.0])
+def test_the_share_of_the_samples_that_have_a_gradient_is_what_is_asked_for(share):
+    parts = losses.Parted.by(dataclasses.replace(PROFILE, gradient_share=share), labelled(1000, 1.0))
+    assert abs(int(parts.sloped) - 1000 * share) <= 1.0
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["paper", "paper_printed"])
 def test_the_papers_eikonal_term_is_asked_of_every_point(name):

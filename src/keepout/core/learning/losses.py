@@ -219,8 +219,9 @@ class Parted(NamedTuple):
     @classmethod
     def by(cls, profile: TrainingProfile, data: Batch) -> "Parted":
         """Part points as the profile's loss takes them: the paper's asks every point for a gradient."""
-        count, share = len(data.smooth), profile.gradient_share
-        sloped = np.asarray(data.smooth) & (np.arange(count) * share % 1.0 < share) | (profile.loss != "keepout")
+        count = len(data.smooth)
+        chosen = np.diff(np.arange(count + 1) * profile.gradient_share // 1.0) > 0.0
+        sloped = np.asarray(data.smooth) & chosen | (profile.loss != "keepout")
         spare = max(profile.samples - count, 0) if profile.batch < count else 0
         order = np.concatenate([np.flatnonzero(sloped), np.flatnonzero(~sloped), np.zeros(spare, np.int64)])
         points = Batch(*(jnp.asarray(np.asarray(column)[order]) for column in data))
