@@ -171,6 +171,20 @@ def test_small_errors_count_by_their_square_up_to_what_the_profile_says_of_each_
     assert told == 5 * [(False, 0.5)] + 5 * [(True, 0.5)] + 2 * [(True, 0.25)]
 
 
+@pytest.mark.long
+def test_a_small_fit_by_a_stations_numbers_learns_the_distance():
+    """All that is a station's own at once: its start, its samples, half of the gradients, squares until the polish."""
+    small = {"width": 24, "depth": 2, "samples": 20_000, "batch": 512, "steps": 750, "tuning_steps": 250}
+    station = PROFILES["default"].large
+    assert station is not None
+    model = training.fit(Target.load("box"), profile=dataclasses.replace(station, **small, polish_steps=50))
+    assert 0.2 < model.training["sloped_share"] < 0.5
+    curve = model.training["curve"]
+    assert curve["value_term"][2] < 0.5 * curve["value_term"][0]
+    assert curve["gradient_term"][2] < 0.5 * curve["gradient_term"][0]
+    assert abs(curve["mean_error_m"][-1]) < 0.05
+
+
 @pytest.mark.parametrize("batch", [0, -3, 300_001])
 def test_a_batch_is_of_the_samples_that_there_are(batch):
     with pytest.raises(FieldError, match=rf"batch {batch}: it must be between 1 and the profile's 300000 samples"):

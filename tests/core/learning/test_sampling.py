@@ -38,7 +38,7 @@ def box(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("spread", "farthest"), [((0.05, 0.2), 0.2), ((0.05, 100.0), 0.6 * np.linalg.norm(HALF))])
-def test_samples_next_to_the_surface_lie_between_the_distances_that_the_profile_says(box, spread, farthest):
+def test_samples_next_to_the_surface_lie_within_the_distance_that_the_profile_says(box, spread, farthest):
     """In that order: on the surface, next to it, in the ball."""
     profile = TrainingProfile(spread=spread, room_share=0.0)
     points = training_points(box.distance, Domain.around(box.distance), 6000, np.random.default_rng(0), profile)
@@ -46,6 +46,16 @@ def test_samples_next_to_the_surface_lie_between_the_distances_that_the_profile_
     assert box.distance.distance(on).max() < 1e-9
     assert box.distance.distance(near).max() <= farthest
     assert box.distance.distance(near).max() > 0.9 * farthest
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("nearest", [0.02, 0.1, 0.2])
+def test_samples_next_to_the_surface_are_even_in_the_logarithm_of_their_distance(box, nearest):
+    """Moved from the surface by lengths of the closed form's mean, whichever way: half of that from a face."""
+    profile = TrainingProfile(spread=(nearest, 0.2), room_share=0.0)
+    points = training_points(box.distance, Domain.around(box.distance), 20_000, np.random.default_rng(0), profile)
+    mean = 0.2 if nearest == 0.2 else (0.2 - nearest) / np.log(0.2 / nearest)
+    assert box.distance.distance(points[2000:16_000]).mean() == pytest.approx(0.5 * mean, rel=0.1)
 
 
 @pytest.mark.long

@@ -141,9 +141,8 @@ def fit(
     initial = initial._replace(layers=begun or initial.layers)
     state = course.taken(initial, kept, target.name, part_of(progress, 0.1, 0.99))
     field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
-    training = course.record(
-        state, profile if isinstance(profile, str) else "custom", chaser_radius, solid.closing_radius
-    )
+    name = profile if isinstance(profile, str) else "custom"
+    training = course.record(state, name, chaser_radius, solid.closing_radius)
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     progress(1.0, "done")
@@ -297,9 +296,9 @@ def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: in
             biases[0] = -jnp.sum(weights[0] * data.x[jax.random.choice(places, nearest, (width,))], axis=1)
     layers = neural.Layers(tuple(weights), tuple(biases))
     hard = jax.tree.map(lambda a: jnp.resize(a, (hard_count, *a.shape[1:])), data)
-    optimizer, worst = _optimizer(profile).init(layers), jnp.asarray(jnp.inf, jnp.float32)
+    optimizer = _optimizer(profile).init(layers)
     curve = jnp.full((len(block_lengths(profile)), len(CURVE)), jnp.nan, jnp.float32)
-    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), worst, curve)
+    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32), curve)
 
 
 def layers_of(model: FieldModel, domain: Domain, numbers: losses.TrainingProfile) -> neural.Layers:
@@ -367,7 +366,7 @@ def _train_round(
 
     A step's points are `hard` counter-examples, `sloped` points with a gradient, and the rest without. Those of the
     latter two kinds count as if they were drawn in the shares in which there are some, and a gradient as if all samples
-    that have one were learned with it.
+    that have one were learned with it. Errors below `bend`, metres, count by their square (`losses.keepout_terms`).
     """
     optimizer = _optimizer(profile)
     batch = min(profile.batch, len(data.points.x))
