@@ -33,7 +33,9 @@ def random_network(seed):
 def random_elements(kind, rng, count, size):
     if kind == "triangle":
         return bounds.triangles(rng.uniform(-0.7, 0.7, (count, 1, 3)) + size * rng.normal(size=(count, 3, 3)))
-    return bounds.boxes(rng.uniform(-0.7, 0.7, (count, 3)), size * rng.uniform(0.2, 1.0, (count, 3)))
+    elements = bounds.boxes(rng.uniform(-0.7, 0.7, (count, 3)), size * rng.uniform(0.2, 1.0, (count, 3)))
+    elements[1:, ::2] += 0.3 * size * rng.normal(size=elements[1:, ::2].shape)  # and every other one slanted
+    return elements
 
 
 def random_places(elements, rng, each):

@@ -193,10 +193,13 @@ def test_no_search_beats_the_bound_of_any_network(radius):
 
 @pytest.mark.parametrize("radius", [0.0, 0.5])
 def test_no_sample_beats_the_bound_of_its_own_element(radius):
-    """Triangles are sampled; of points at distance R each is in a cube, and below the bound of every cube it is in."""
+    """Triangles are sampled; of points at distance R each is in a box, and below the bound of every box it is in.
+
+    A box's own slanted box holds them, too.
+    """
     field, distance = random_model(radius, 2).field, Target.load("box").distance
     elements = certificate._cover(distance, radius, 0.25)
-    for _ in range(4 if radius == 0.0 else 0):
+    for _ in range(4 if radius == 0.0 else 1):
         elements = certificate._split(elements, distance, radius)
     contact = certificate._Contact.of(field, distance, radius)
     upper, _ = contact.bounded(elements)
@@ -207,16 +210,18 @@ def test_no_sample_beats_the_bound_of_its_own_element(radius):
     else:
         points = contact_with_box(20_000, radius)
         value, largest, held = values(field, points), np.full(len(upper), -np.inf), np.zeros(len(points), bool)
-        for number, (middle, half) in enumerate(elements):
+        for number, (middle, half, inner, *edges) in enumerate(elements):
             inside = (np.abs(points - middle) <= half).all(axis=1)
             held |= inside
+            assert np.abs(np.linalg.solve(np.transpose(edges), (points[inside] - inner).T)).max(initial=0.0) <= 1.0
             largest[number] = value[inside].max(initial=-np.inf)
         assert held.all()
     assert (largest <= upper).all()
     assert np.isfinite(largest).sum() > 100
     # The bound of a point leaves room for float32's rounding of the value there, and for little more.
     points = contact_with_box(4096, radius)
-    alone = np.stack([points, 0.0 * points], axis=1) if radius else np.repeat(points[:, None], 3, axis=1)
+    alone = np.repeat(points[:, None], 6 if radius else 3, axis=1)
+    alone[:, [1, 3, 4, 5] if radius else []] = 0.0
     upper, error = contact.bounded(alone)
     over = upper - values(field, points)
     assert 0.0 <= over.min() <= over.max() <= 3.0 * error.max()

@@ -20,13 +20,32 @@ def test_boxes_cut_in_two_still_hold_the_whole_level_and_few_that_do_not_meet_it
     boxes = certificate._cover(distance, radius, 0.5)
     for _ in range(5):
         held, holds = np.zeros(len(points), bool), np.zeros(len(boxes), bool)
-        for number, (centre, half) in enumerate(boxes):
+        for number, (centre, half, *_) in enumerate(boxes):
             inside = (np.abs(points - centre) <= half + 1e-9).all(axis=1)
             held |= inside
             holds[number] = inside.any()
         assert held.all()
         boxes = certificate._split(boxes, distance, radius)
     assert holds.mean() > 0.5
+
+
+def test_a_slanted_box_holds_what_its_box_holds_of_the_level():
+    """Flat boxes and long ones, within the target and through it, too, whose far side is as much of the level."""
+    distance, generator = small_box.target().distance, np.random.default_rng(0)
+    for radius in (0.02, 0.3, 2.0):
+        points = level_points(distance, radius, 4000, generator)
+        centres = points[:300] + radius * generator.normal(size=(300, 3))
+        halves = 10.0 ** generator.uniform(-2.0, 0.5, centres.shape)
+        held = 0
+        for centre, half in zip(centres, halves):
+            inside = points[(np.abs(points - centre) <= half).all(axis=1)]
+            left = certificate._slanted(centre[None], half[None], distance, radius)
+            assert len(left) == 1 or len(inside) == 0
+            for middle, cut, inner, *edges in left:
+                assert (np.abs(inside - middle) <= cut).all()
+                assert np.abs(np.linalg.solve(np.transpose(edges), (inside - inner).T)).max(initial=0.0) <= 1.0
+            held += len(inside) > 0
+        assert held > 50
 
 
 def test_a_steep_spot_beyond_the_clearance_counts_in_a_cube_whose_middle_is_nearer(monkeypatch):

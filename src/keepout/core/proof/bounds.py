@@ -70,8 +70,8 @@ class Network(NamedTuple):
 
 
 Elements = Float[np.ndarray, "k m 3"]
-"""In normalised coordinates: the corners of m triangles (3, m, 3); or of m boxes the centre, then the three half-width
-vectors along the axes (4, m, 3)."""
+"""In normalised coordinates: the corners of m triangles (3, m, 3); or of m boxes the centre, then the halves of three
+edges, which may be slanted (4, m, 3)."""
 
 
 def triangles(corners: Float[np.ndarray, "m 3 3"]) -> Elements:
@@ -80,7 +80,7 @@ def triangles(corners: Float[np.ndarray, "m 3 3"]) -> Elements:
 
 
 def boxes(centres: Float[np.ndarray, "m 3"], half_widths: Float[np.ndarray, "m 3"]) -> Elements:
-    """Boxes from centres and half widths."""
+    """Boxes along the axes from centres and half widths."""
     generators = np.eye(3)[:, None, :] * half_widths[None]
     return np.concatenate([centres[None], generators])
 

@@ -46,8 +46,6 @@ FIRST_LEAF, LARGEST_LEAF = 0.02, 0.4
 """Side of the cubes that first cover {d = R}: this share of the domain's radius, at most so many metres."""
 OTHER_MACHINE = 1e-12
 """Metres, or slope: what float64 sums in another order change; every bound has more than that added for it."""
-ALONG = 1.0
-"""By how much more a box's side counts that points away from the target than one along it, where it is cut."""
 LOOKED_AT = 1024
 """Elements with the largest bounds, of each size, where a larger value is looked for."""
 
@@ -259,9 +257,9 @@ def _bound_on_contact(
         seen += len(frontier)
         # The elements that matter know where to look for a larger value.
         worst = frontier[np.argsort(-upper)[:LOOKED_AT]]
-        places = worst.mean(axis=1) if radius == 0.0 else level_set.onto_level(distance, worst[:, 0], radius)
+        places = worst.mean(axis=1) if radius == 0.0 else level_set.onto_level(distance, worst[:, 2], radius)
         found = max(found, float(values(field, places).max(initial=-np.inf)))
-        large = _length(frontier, radius) > POINT_LIKE
+        large = _edges(frontier, radius).max(axis=1) > POINT_LIKE
         if stated is None or found > radius + stated.error_bound:
             open_ = (upper - error > found + gap) | ((upper > found + gap + ERROR_GAP * contact.scale) & large)
         else:
@@ -316,12 +314,10 @@ class _Contact:
         if self.radius == 0.0:
             upper, _, _, error = bounds.upper_bounds(self.network, bounds.triangles((piece - centre) / scale))
         else:
-            middle = (piece[:, 0] - centre) / scale
-            boxes = bounds.boxes(middle, (piece[:, 1] + self.slack) / scale)
-            upper, slope, constant, error = bounds.upper_bounds(self.network, boxes)
-            half = piece[:, 1] + self.slack
-            cut = level_set.largest_on_level(self.distance, self.radius, piece[:, 0], half, slope)
-            upper = np.fmin(upper, (middle * slope).sum(axis=1) + constant + cut / scale)
+            slanted = (piece[:, 2:] - np.outer([1.0, 0.0, 0.0, 0.0], centre)) / scale
+            upper, slope, constant, error = bounds.upper_bounds(self.network, slanted.transpose(1, 0, 2))
+            cut = level_set.largest_on_level(self.distance, self.radius, piece[:, 0], piece[:, 1], slope)
+            upper = np.fmin(upper, ((piece[:, 0] - centre) / scale * slope).sum(axis=1) + constant + cut / scale)
         return scale * (upper + error), scale * error
 
 
@@ -330,60 +326,68 @@ def _first_leaf(field: NeuralField) -> float:
 
 
 def _cover(distance: ExactDistance, radius: float, leaf: float) -> Float[np.ndarray, "m k 3"]:
-    """Triangles as (m, 3, 3) corners, or boxes as (m, 2, 3): centre and half widths."""
+    """Triangles as (m, 3, 3) corners, or boxes as (m, 6, 3), see `_slanted`."""
     if radius == 0.0:
         return distance.vertices[distance.faces]
     centres, half = straddling_cells(distance, radius, leaf=leaf)
-    cubes = np.stack([centres, np.repeat(half[:, None], 3, axis=1)], axis=1)
-    # Flat boxes from the first: a cut across the surface adds few, and all are bounded better.
-    return _split(_meeting(cubes, distance, radius), distance, radius)
+    return _slanted(centres, np.repeat(half[:, None], 3, axis=1), distance, radius)
 
 
-def _edges(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
-    """Lengths of the edges across from each corner, metres."""
-    return np.linalg.norm(triangles[:, [1, 2, 0]] - triangles[:, [2, 0, 1]], axis=2)
-
-
-def _length(elements: Float[np.ndarray, "m k 3"], radius: float) -> Float[np.ndarray, "m"]:
-    """Longest edge of each triangle, or side of each box, metres."""
+def _edges(elements: Float[np.ndarray, "m k 3"], radius: float) -> Float[np.ndarray, "m 3"]:
+    """Lengths of the edges, metres: a triangle's across from each corner, and a slanted box's."""
     if radius == 0.0:
-        return _edges(elements).max(axis=1)
-    return 2.0 * elements[:, 1].max(axis=1)
+        return np.linalg.norm(elements[:, [1, 2, 0]] - elements[:, [2, 0, 1]], axis=2)
+    return 2.0 * np.linalg.norm(elements[:, 3:], axis=2)
 
 
 def _split(elements: Float[np.ndarray, "m k 3"], distance: ExactDistance, radius: float) -> Float[np.ndarray, "p k 3"]:
-    """Cut triangles in two across their longest edge, and boxes, less those that cannot meet {d = radius}."""
+    """Cut each element in two across its longest edge, and leave out boxes that cannot meet {d = radius}."""
     if len(elements) == 0:
         return elements
+    rows, longest = np.arange(len(elements)), _edges(elements, radius).argmax(axis=1)
     if radius == 0.0:
-        apex = _edges(elements).argmax(axis=1)
-        rows = np.arange(len(elements))
-        a, b, c = (elements[rows, (apex + k) % 3] for k in range(3))
+        a, b, c = (elements[rows, (longest + k) % 3] for k in range(3))
         middle = 0.5 * (b + c)
         return np.concatenate([np.stack([a, b, middle], axis=1), np.stack([a, middle, c], axis=1)])
-    near = distance.closest(elements[:, 0])[1]
-    return _meeting(_halved(elements, elements[:, 0] - near), distance, radius)
+    step = np.where(np.arange(3) == longest[:, None], 0.5, 0.0) * elements[:, 1]
+    centres, half = np.concatenate([elements[:, 0] - step, elements[:, 0] + step]), elements[:, 1] - step
+    return _slanted(centres, np.tile(half, (2, 1)), distance, radius)
 
 
-def _halved(boxes: Float[np.ndarray, "m 2 3"], away: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "p 2 3"]:
-    """Cut each box in two across its longest side.
+def _slanted(
+    centres: Float[np.ndarray, "m 3"], half: Float[np.ndarray, "m 3"], distance: ExactDistance, radius: float
+) -> Float[np.ndarray, "p 6 3"]:
+    """Cut boxes down to what can meet {d = radius}: each box's centre and half widths, and a slanted box in it.
 
-    A side counts for more the more it points away from the target: of two halves one above the other one meets the
-    surface, of two side by side both.
+    With q the point of the target that is nearest to the centre c, at the distance r, and u the direction from q to c,
+    u·(p - c) is at most what `largest_on_level` says. If no p of the box is more than t beside the line through q and
+    c, |p - q| ≥ R says that |r + u·(p - c)| ≥ √(R² - t²), and p is on c's side of q unless the box reaches far. Between
+    these two planes and two pairs of the box's faces is the slanted box: its centre, and the halves of its edges.
     """
-    turned = np.abs(away) / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-30)
-    axis = (boxes[:, 1] * (1.0 + ALONG * turned)).argmax(axis=1)
-    half = np.where(np.arange(3) == axis[:, None], 0.5, 1.0) * boxes[:, 1]
-    step = boxes[:, 1] - half
-    return np.concatenate([np.stack([boxes[:, 0] + side * step, half], axis=1) for side in (-1.0, 1.0)])
-
-
-def _meeting(boxes: Float[np.ndarray, "m 2 3"], distance: ExactDistance, radius: float) -> Float[np.ndarray, "p 2 3"]:
-    """Leave out boxes that cannot meet {d = radius}: all of them is nearer to one point, or farther from all."""
-    centres, half = boxes[:, 0], boxes[:, 1] * (1.0 + 1e-9) + 1e-9
-    farthest = np.linalg.norm(np.abs(centres - distance.closest(centres)[1]) + half, axis=1)
-    boxes, centres, half = (of[farthest >= radius] for of in (boxes, centres, half))
-    return boxes[level_set.largest_on_level(distance, radius, centres, half, np.zeros_like(centres)) > -np.inf]
+    half = half * (1.0 + 1e-9) + 1e-9
+    away = centres - distance.closest(centres)[1]
+    r = np.linalg.norm(away, axis=1)
+    u = np.where(r[:, None] > 0.0, away / np.maximum(r, 1e-300)[:, None], np.eye(3)[0])
+    parts = half * np.abs(u)
+    reach = parts.sum(axis=1)
+    t_squared = (half**2).sum(axis=1) - (2.0 * parts.max(axis=1) - reach) ** 2
+    beyond = np.sqrt(np.maximum(radius**2 - t_squared - 1e-9, 0.0))
+    below = np.where(reach < r + beyond, np.maximum(beyond - r - 1e-9, -reach), -reach)
+    above = np.minimum(level_set.largest_on_level(distance, radius, centres, half, u) + 1e-9, reach)
+    centres, half, u, above, below = [of[above >= below] for of in (centres, half, u, above, below)]
+    rows, k = np.arange(len(u)), np.abs(u).argmax(axis=1)
+    steep, whole = u[rows, k], half[rows, k]
+    thin = above - below < 2.0 * np.abs(steep) * whole
+    thick, middle = np.where(thin, 0.5 * np.stack([above - below, above + below]) / steep, [whole, 0.0 * whole])
+    slant = np.where(thin, -1.0 / steep, 0.0)[:, None] * half * u
+    slant[rows, k] = np.abs(thick)
+    edges, inner, wide = np.eye(3) * half[:, None], centres.copy(), np.abs(slant).sum(axis=1)
+    edges[rows, :, k] = slant
+    inner[rows, k] += middle
+    low, high = np.maximum(middle - wide, -whole), np.minimum(middle + wide, whole)
+    centres[rows, k] += 0.5 * (low + high)
+    half[rows, k] = 0.5 * (high - low)
+    return np.concatenate([np.stack([centres, half, inner], axis=1), edges], axis=1)
 
 
 def sample_certificate(
