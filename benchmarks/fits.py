@@ -30,7 +30,7 @@ from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.level_set import level_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
-from keepout.core.learning.training import HARD_SHARE, fit
+from keepout.core.learning.training import HARD_SHARES, fit
 from keepout.core.measures.quality import curvature, distance_errors, margin_cost
 from keepout.core.proof.certificate import certify
 from keepout.core.proof.grid import certify_grid
@@ -86,16 +86,16 @@ def megabytes(model: FieldModel, folder: Path) -> float:
 def product_flops(model: FieldModel) -> float:
     """Flops of the fit's matrix products.
 
-    Value and gradient take 2 sweeps, and their reverse twice as much; a value only takes half of both. Fields of
-    before 22 November 2026 learned a gradient at every point.
+    Value and gradient take 2 sweeps, and their reverse twice as much; a value only, all that is learned of
+    counter-examples, takes half of both. Fields of before 28 November 2026 learned gradients of more points.
     """
     numbers, field = model.training["numbers"], model.field
     assert isinstance(field, NeuralField)
     weights = sum(W.size for W in field.layers.weights)
     sloped = model.training.get("sloped_share", 1.0)
-    tuned = numbers["tuning_steps"] + numbers.get("polish_steps", 0)
-    hard = HARD_SHARE * tuned
-    points = numbers["batch"] * (hard + (numbers["steps"] + tuned - hard) * 0.5 * (1.0 + sloped))
+    steps = [numbers[name] for name in ("steps", "tuning_steps", "polish_steps")]
+    hard = float(np.dot(HARD_SHARES, steps))
+    points = numbers["batch"] * (0.5 * sum(steps) + 0.5 * sloped * (sum(steps) - hard))
     return points * 2.0 * weights * 2 * 3
 
 

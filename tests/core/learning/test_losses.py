@@ -85,29 +85,6 @@ def test_a_step_of_all_points_takes_each_as_it_is():
 
 
 @pytest.mark.long
-def test_a_gradient_that_is_learned_of_a_share_of_the_samples_counts_as_that_of_all():
-    """Every other sample has it: on average over both halves the term is that of all, and the value's is the same."""
-    profile = dataclasses.replace(PROFILE, samples=80, batch=80, width=8, depth=1, gradient_share=0.5)
-    whole = labelled(80, 1.0)
-    means = []
-    for order in (np.arange(80), np.roll(np.arange(80), 1)):
-        parts = losses.Parted.by(profile, losses.Batch(*(column[order] for column in whole)))
-        assert int(parts.sloped) == 40
-        state = training._initial(profile, whole, 0, 0)
-        given = (state, parts, jnp.float32(SCALE), jnp.float32(1e-6), jax.random.key(0), np.zeros(1, np.float32))
-        means.append(training._train_round(profile, 0, 40, *given)[2:])
-    value_term, slope_term = losses.terms(state.layers, profile, SCALE, whole, 80)
-    np.testing.assert_allclose([value for value, _ in means], float(value_term.mean()), rtol=1e-5)
-    assert np.mean([slope for _, slope in means]) == pytest.approx(float(slope_term.mean()), rel=1e-5)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.5, 0.7, 1.0])
-def test_the_share_of_the_samples_that_have_a_gradient_is_what_is_asked_for(share):
-    parts = losses.Parted.by(dataclasses.replace(PROFILE, gradient_share=share), labelled(1000, 1.0))
-    assert abs(int(parts.sloped) - 1000 * share) <= 1.0
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["paper", "paper_printed"])
 def test_the_papers_eikonal_term_is_asked_of_every_point(name):
     parts = losses.Parted.by(PROFILES[name], labelled(50, 0.3))
@@ -173,12 +150,11 @@ def test_small_errors_count_by_their_square_up_to_what_the_profile_says_of_each_
 
 @pytest.mark.long
 def test_a_small_fit_by_a_stations_numbers_learns_the_distance():
-    """All that is a station's own at once: its start, its samples, half of the gradients, squares until the polish."""
+    """All that is a station's own at once: its start, its samples, and squares until the polish."""
     small = {"width": 24, "depth": 2, "samples": 20_000, "batch": 512, "steps": 750, "tuning_steps": 250}
     station = PROFILES["default"].large
     assert station is not None
     model = training.fit(Target.load("box"), profile=dataclasses.replace(station, **small, polish_steps=50))
-    assert 0.2 < model.training["sloped_share"] < 0.5
     curve = model.training["curve"]
     assert curve["value_term"][2] < 0.5 * curve["value_term"][0]
     assert curve["gradient_term"][2] < 0.5 * curve["gradient_term"][0]

@@ -76,7 +76,6 @@ class TrainingProfile:
             so that what is nearly right does not tug at what is wrong, all others by their amount (keepout loss). A
             satellite would lose more of its bound by it than its mean error gains.
         gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper).
-        gradient_share: of the samples that have a gradient, those of which it is learned (keepout loss).
         kappa: κ of the paper's loss.
         large: the numbers for a target larger than `LARGE_TARGET`; None: the same.
 
@@ -109,7 +108,6 @@ class TrainingProfile:
     near_field: float = 1.2
     squared_below: tuple[float, float] = (1e-6, 1e-6)
     gradient_weight: float = 0.15
-    gradient_share: float = 1.0
     kappa: float = 2.0
     large: "TrainingProfile | None" = None
 
@@ -146,9 +144,7 @@ _LARGE = dataclasses.replace(
     over_weight=0.65,
     far_over_weight=0.5,
 )
-_STATION = dataclasses.replace(
-    _LARGE, start="surface", spread=(0.03, 10.0), squared_below=(0.1, 1e-6), gradient_share=0.5
-)
+_STATION = dataclasses.replace(_LARGE, batch=1536, start="surface", spread=(0.03, 10.0), squared_below=(0.1, 1e-6))
 _FINE_STATION = dataclasses.replace(_LARGE, steps=10_000, tuning_steps=7_000, polish_steps=900, worst=3_000)
 _PAPER = TrainingProfile(
     loss="paper_pinball",
@@ -219,9 +215,8 @@ class Parted(NamedTuple):
     @classmethod
     def by(cls, profile: TrainingProfile, data: Batch) -> "Parted":
         """Part points as the profile's loss takes them: the paper's asks every point for a gradient."""
-        count = len(data.smooth)
-        chosen = np.diff(np.arange(count + 1) * profile.gradient_share // 1.0) > 0.0
-        sloped = np.asarray(data.smooth) & chosen | (profile.loss != "keepout")
+        sloped = np.asarray(data.smooth) | (profile.loss != "keepout")
+        count = len(sloped)
         spare = max(profile.samples - count, 0) if profile.batch < count else 0
         order = np.concatenate([np.flatnonzero(sloped), np.flatnonzero(~sloped), np.zeros(spare, np.int64)])
         points = Batch(*(jnp.asarray(np.asarray(column)[order]) for column in data))

@@ -20,14 +20,14 @@ from keepout.core.learning.losses import Batch, TrainingProfile
 HIDDEN_DEPTH = 0.1
 """Metres. In space that no chaser reaches, Keepout's loss only asks the field to stay below minus this (or the exact
 value nearer by)."""
-ON_LEVEL, NEAR = 50_000, 200_000
+ON_LEVEL, NEAR = 50_000, 70_000
 """Candidates on the surface, as on the chaser's contact surface, drawn anew every round; and those in the room next to
 the surface (`Domain.room`), at most: of the labelled samples, and they stay."""
 POOL = 150_000
 """Points of the contact surface that are drawn from: to find one takes three closest points."""
 MOST_WRONG = 4.0
 """Times the mean error: a sample that is more wrong is drawn no more often."""
-ROUNDS_KEPT, CLIMBERS = 3, 4096
+ROUNDS_KEPT, CLIMBERS = 3, 2048
 """Rounds of counter-examples that are learned from, and the worst candidates of a round that climb."""
 ASCENT = (0.08, 0.05, 0.03, 0.02, 0.01, 0.005)
 """Metres. Steps by which they climb."""

@@ -39,7 +39,8 @@ ROWS = 2048
 """Points that the network in mid-training is asked at together, float32."""
 WATCHED = 4096
 """Labelled points on which the training curve follows the field's mean error."""
-HARD_SHARE, HARD_WEIGHT = 0.3, 2.0
+HARD_SHARES, HARD_WEIGHT = (0.0, 0.3, 0.5), 2.0
+"""Share of a step's points, by phase, that are counter-examples, and their weight. Of them the distance is learned."""
 CURVE = ("value_term", "gradient_term", "mean_error_m")
 """Columns of a training curve."""
 
@@ -219,7 +220,7 @@ class _Course:
         key = jax.random.fold_in(jax.random.key(self.seed), block)
         rates = learning_rates(numbers, block)
         batch = min(numbers.batch, int(self.examples.known))
-        hard = round(HARD_SHARE * batch) if phase_of(numbers, block) > 0 else 0
+        hard = round(HARD_SHARES[phase_of(numbers, block)] * batch)
         # Of all points none is drawn, and each is as it is.
         drawn = hard or batch < int(self.examples.known)
         sloped = self.examples.rows(batch - hard) if drawn else int(self.examples.sloped)
@@ -364,36 +365,31 @@ def _train_round(
 ):
     """Take a step for each of the rates, in one compiled loop.
 
-    A step's points are `hard` counter-examples, `sloped` points with a gradient, and the rest without. Those of the
-    latter two kinds count as if they were drawn in the shares in which there are some, and a gradient as if all samples
-    that have one were learned with it. Errors below `bend`, metres, count by their square (`losses.keepout_terms`).
+    A step's points are `sloped` points with a gradient, others without, and `hard` counter-examples. Those of the
+    former two kinds count as if they were drawn in the shares in which there are some. Errors below `bend`, metres,
+    count by their square (`losses.keepout_terms`).
     """
     optimizer = _optimizer(profile)
     batch = min(profile.batch, len(data.points.x))
     easy = batch - hard
-    share = data.sloped.astype(jnp.float32) / data.known.astype(jnp.float32)
-    weight = jnp.full(batch, HARD_WEIGHT, jnp.float32)
-    for first, rows, of_all in ((hard, sloped, share), (hard + sloped, easy - sloped, 1.0 - share)):
-        weight = weight.at[first : first + rows].set(of_all * easy / max(rows, 1))
+    kind = jnp.arange(easy) < sloped
+    start, end = jnp.where(kind, 0, data.sloped), jnp.where(kind, data.sloped, data.known)
+    weight = easy / data.known * (end - start) / jnp.where(kind, sloped, easy - sloped)
+    weight = jnp.concatenate([weight, jnp.full(hard, HARD_WEIGHT)]).astype(jnp.float32)
 
     def loss(layers: neural.Layers, rows: losses.Batch):
-        value_term, slope_term = losses.terms(layers, profile, scale, rows, hard + sloped, bend)
-        slope_weight = weight[: hard + sloped].at[hard:].divide(profile.gradient_share)
-        value_mean, slope_mean = jnp.mean(weight * value_term), jnp.sum(slope_weight * slope_term) / batch
+        value_term, slope_term = losses.terms(layers, profile, scale, rows, sloped, bend)
+        value_mean, slope_mean = jnp.mean(weight * value_term), jnp.sum(weight[:sloped] * slope_term) / batch
         return value_mean + slope_mean, (value_mean, slope_mean)
 
     def step(carry, now):
         (layers, optimizer_state), (step_key, rate) = carry, now
         rows = data.points
         if hard or batch < len(data.points.x):
-            keys = jax.random.split(step_key, 3)
-            places = (
-                jax.random.randint(keys[1], (sloped,), 0, data.sloped),
-                jax.random.randint(keys[2], (easy - sloped,), data.sloped, data.known),
-            )
-            drawn = [column[jnp.concatenate(places)] for column in data.points]
-            again = jax.random.randint(keys[0], (hard,), 0, max(len(state.hard.x), 1))
-            rows = losses.Batch(*(jnp.concatenate([old[again], new]) for old, new in zip(state.hard, drawn)))
+            keys = jax.random.split(step_key)
+            drawn = jax.random.randint(keys[0], (easy,), start, end)
+            again = jax.random.randint(keys[1], (hard,), 0, max(len(state.hard.x), 1))
+            rows = losses.Batch(*(jnp.concatenate([a[drawn], b[again]]) for a, b in zip(data.points, state.hard)))
         (_, means), gradient = jax.value_and_grad(loss, has_aux=True)(layers, rows)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, layers)
         updates = jax.tree.map(lambda update: rate * update, updates)
