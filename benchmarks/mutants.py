@@ -82,7 +82,8 @@ MUTANTS = {
         ("cubes by their middles", "+ reach >= clearance", ">= clearance", "mutants_found"),
     ],
     "core/proof/certificate.py": [
-        ("box as wide as its middle", "closest(centres)[1]) + half", "closest(centres)[1])", "mutants_found"),
+        ("slanted box as thin as a plane", "slant[rows, k] = np.abs(thick)", "slant[rows, k] = 0.0", "mutants_found"),
+        ("held beyond the target", "np.where(reach < r + beyond,", "np.where(reach < np.inf,", "mutants_found"),
     ],
     "core/proof/grid.py": [
         ("cell without its spread", "np.hypot(radius, h) - radius + (c", "(c", "grid_field grid:contact"),
