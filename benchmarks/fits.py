@@ -87,12 +87,12 @@ def product_flops(model: FieldModel) -> float:
     """Flops of the fit's matrix products.
 
     Value and gradient take 2 sweeps, and their reverse twice as much; a value only, all that is learned of
-    counter-examples, takes half of both. Fields of before 28 November 2026 learned gradients of more points.
+    counter-examples, takes half of both.
     """
     numbers, field = model.training["numbers"], model.field
     assert isinstance(field, NeuralField)
     weights = sum(W.size for W in field.layers.weights)
-    sloped = model.training.get("sloped_share", 1.0)
+    sloped = model.training["sloped_share"]
     steps = [numbers[name] for name in ("steps", "tuning_steps", "polish_steps")]
     hard = float(np.dot(HARD_SHARES, steps))
     points = numbers["batch"] * (0.5 * sum(steps) + 0.5 * sloped * (sum(steps) - hard))

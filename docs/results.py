@@ -15,7 +15,7 @@ from typing import Any
 from result_sections import SECTIONS, SETTING_PAIRS, best_setting
 from result_tables import kept_file, table
 
-from keepout.core.fields import load_shipped
+from keepout.core.fields import load_shipped, shipped_names
 
 PAGE = Path(__file__).with_name("results.md")
 README = PAGE.parents[1] / "README.md"
@@ -61,7 +61,7 @@ def headline() -> list[dict[str, str]]:
         ", ".join(f"{steps[f'{who}: printed constants, {field}']:.2f} ms" for who in ("Keepout", "usual way"))
         for field in ("shipped field", "10 x 512")
     )
-    bounds = {name: load_shipped(name).certificate(0.0).error_bound for name in ("iss", "tiangong", "intelsat30")}
+    bounds = {name: load_shipped(name).certificate(0.0).error_bound for name in shipped_names()}
     proved = ", ".join(f"{1000 * bound:+.0f} mm `{name}`" for name, bound in bounds.items())
     return [
         {
@@ -108,7 +108,7 @@ def headline() -> list[dict[str, str]]:
         {
             "what": "proved bound on what the shipped fields over-state on the surface, R = 0",
             "figure": proved,
-            "command": "keepout certify --check src/keepout/data/fields/iss.keepout",
+            "command": "keepout certify --check src/keepout/data/fields/TARGET.keepout",
         },
         {
             "what": "one step of the paper's law by Keepout, and by CVXPY with PyTorch: with the shipped field; with "

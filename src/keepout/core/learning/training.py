@@ -219,8 +219,8 @@ class _Course:
         numbers, domain = self.numbers, self.domain
         key = jax.random.fold_in(jax.random.key(self.seed), block)
         rates = learning_rates(numbers, block)
-        batch = min(numbers.batch, int(self.examples.known))
-        hard = round(HARD_SHARES[phase_of(numbers, block)] * batch)
+        batch, phase = min(numbers.batch, int(self.examples.known)), phase_of(numbers, block)
+        hard = round(HARD_SHARES[phase] * batch)
         # Of all points none is drawn, and each is as it is.
         drawn = hard or batch < int(self.examples.known)
         sloped = self.examples.rows(batch - hard) if drawn else int(self.examples.sloped)
@@ -234,7 +234,7 @@ class _Course:
                 state,
                 self.examples,
                 jnp.float32(domain.learned_radius),
-                jnp.float32(numbers.squared_below[phase_of(numbers, block) // 2]),
+                jnp.float32(numbers.squared_below[phase // 2]),
                 jax.random.fold_in(key, n),
                 rates[n : n + losses.ROUND],
             )
@@ -291,8 +291,8 @@ def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: in
         weights[-1] = weights[-1] * jnp.float32(0.5)
         biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
         if profile.start == "surface":
-            sizes, places = jax.random.split(keys[-1])
-            weights[0] = weights[0] * jnp.exp(jax.random.uniform(sizes, (width, 1), jnp.float32, -1.0, 1.0))
+            sharpness, places = jax.random.split(keys[-1])
+            weights[0] = weights[0] * jnp.exp(jax.random.uniform(sharpness, (width, 1), jnp.float32, -1.0, 1.0))
             nearest = np.argsort(np.where(data.hidden, np.inf, np.abs(data.distance)))[: max(len(data.x) // 10, width)]
             biases[0] = -jnp.sum(weights[0] * data.x[jax.random.choice(places, nearest, (width,))], axis=1)
     layers = neural.Layers(tuple(weights), tuple(biases))

@@ -314,9 +314,10 @@ class _Contact:
         if self.radius == 0.0:
             upper, _, _, error = bounds.upper_bounds(self.network, bounds.triangles((piece - centre) / scale))
         else:
-            slanted = (piece[:, 2:] - np.outer([1.0, 0.0, 0.0, 0.0], centre)) / scale
+            # A shift by the slack along each axis takes at most three of it along the edge that is not slanted.
+            slanted = (piece[:, 2:] + np.vstack([-centre, 3.0 * self.slack * np.eye(3)])) / scale
             upper, slope, constant, error = bounds.upper_bounds(self.network, slanted.transpose(1, 0, 2))
-            cut = level_set.largest_on_level(self.distance, self.radius, piece[:, 0], piece[:, 1], slope)
+            cut = level_set.largest_on_level(self.distance, self.radius, piece[:, 0], piece[:, 1] + self.slack, slope)
             upper = np.fmin(upper, ((piece[:, 0] - centre) / scale * slope).sum(axis=1) + constant + cut / scale)
         return scale * (upper + error), scale * error
 
