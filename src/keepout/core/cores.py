@@ -1,5 +1,6 @@
 """Loops over arrays compiled by Numba, the processor cores that this process may use, and work shared among them."""
 
+import functools
 import inspect
 import os
 from collections.abc import Callable
@@ -42,12 +43,16 @@ def available_cores() -> int:
     return len(allowed_cores()) or os.cpu_count() or 1
 
 
-def share_among_cores(work: Callable[[slice], None], count: int, *, chunk: int = 2048) -> None:
+def share_among_cores(work: Callable[[slice], None], count: int, *, chunk: int = 512) -> None:
     """Call `work` for slices that together cover 0 to `count`, on all cores; it must release the interpreter's lock."""
-    parts = [slice(start, start + chunk) for start in range(0, count, chunk)]
-    if len(parts) <= 1 or available_cores() == 1:
-        for part in parts:
-            work(part)
+    parts, cores = [slice(n, min(n + chunk, count)) for n in range(0, count, chunk)], available_cores()
+    if len(parts) <= 1 or cores == 1:
+        list(map(work, parts))
     else:
-        with ThreadPoolExecutor(available_cores()) as pool:
-            list(pool.map(work, parts))
+        list(_threads(os.getpid(), cores).map(work, parts))
+
+
+@functools.lru_cache(1)
+def _threads(_process: int, cores: int) -> ThreadPoolExecutor:
+    """Give the threads of this process: to start them takes as long as a thousand distances, and a fork has none."""
+    return ThreadPoolExecutor(cores)

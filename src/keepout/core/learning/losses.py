@@ -132,20 +132,23 @@ class TrainingProfile:
 
 
 _MORE = TrainingProfile(samples=600_000, batch=2048)
-_LARGE = dataclasses.replace(
+_STATION = dataclasses.replace(
     _MORE,
     width=160,
     depth=5,
+    start="surface",
+    batch=1536,
     steps=4_000,
     tuning_steps=2_750,
     webs=300,
     near=0.4,
+    spread=(0.03, 10.0),
     room_share=0.25,
     over_weight=0.65,
     far_over_weight=0.5,
+    squared_below=(0.1, 1e-6),
 )
-_STATION = dataclasses.replace(_LARGE, batch=1536, start="surface", spread=(0.03, 10.0), squared_below=(0.1, 1e-6))
-_FINE_STATION = dataclasses.replace(_LARGE, steps=10_000, tuning_steps=7_000, polish_steps=900, worst=3_000)
+_FINE_STATION = dataclasses.replace(_STATION, steps=14_000, tuning_steps=10_000, polish_steps=1_500, worst=3_000)
 _PAPER = TrainingProfile(
     loss="paper_pinball",
     width=512,

@@ -5,6 +5,7 @@ side and on the other.
 """
 
 import dataclasses
+from collections.abc import Iterator
 from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
@@ -216,8 +217,7 @@ class Hunt:
 
         """
         chosen, weights, largest, worst = [], [], -np.inf, self.profile.worst
-        for level in self.levels:
-            points, value = self._climbed(learner, self._candidates(level, known, generator), level, generator)
+        for level, (points, value) in zip(self.levels, self._climbed(learner, known, generator)):
             peaks = _peaks(points, value)[: int(PEAKS * worst)]
             best = np.concatenate([_largest(value, worst - COPIES * len(peaks)), np.repeat(peaks, COPIES)])
             chosen.append(points[best])
@@ -248,26 +248,35 @@ class Hunt:
         return np.concatenate([new, onto_level(distance, known, level)])
 
     def _climbed(
-        self, learner: Learner, points: Points, level: float, generator: np.random.Generator
-    ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
-        """Return the worst candidates of one level set, each after an ascent on it, and f̃ there."""
-        value = learner.value(points)
-        best = _largest(value, CLIMBERS)
-        points, value = points[best], value[best]
-        distance = self.solid.distance
-        if not isinstance(distance, ExactDistance):
-            return points, value
-        normal = towards_level(distance, points, level)[2]
-        for step in ASCENT:
-            # Along the slope, which narrow spikes need, and at random, which leads over the edges of the surface.
-            uphill = _tangential(learner.gradient(points), normal)
-            for move in (uphill, generator.normal(size=points.shape)):
-                moved, arrived, across = towards_level(distance, points + step * move, level)
-                moved_value = np.where(arrived, learner.value(moved), -np.inf)
-                higher = moved_value > value
-                points, normal = (np.where(higher[:, None], a, b) for a, b in ((moved, points), (across, normal)))
-                value = np.where(higher, moved_value, value)
-        return points, value
+        self, learner: Learner, known: Points, generator: np.random.Generator
+    ) -> list[tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]]:
+        """Return the worst candidates of each level set, each after an ascent on it, and f̃ there."""
+        starts = []
+        for level in self.levels:
+            points = self._candidates(level, known, generator)
+            value = learner.value(points)
+            best = _largest(value, CLIMBERS)
+            starts.append((points[best], value[best]))
+        points, value = map(np.concatenate, zip(*starts))
+        cuts, distance = np.cumsum([len(best) for best, _ in starts])[:-1], self.solid.distance
+        if isinstance(distance, ExactDistance):
+            # Together: the network is asked at pieces of one size, which the points of one level would not fill.
+
+            def onto(places: Points) -> Iterator[np.ndarray]:
+                parts = (towards_level(distance, *part) for part in zip(np.split(places, cuts), self.levels))
+                return map(np.concatenate, zip(*parts))
+
+            _, _, normal = onto(points)
+            for step in ASCENT:
+                # Along the slope, which narrow spikes need, and at random, which leads over the edges of the surface.
+                uphill = _tangential(learner.gradient(points), normal)
+                for move in (uphill, generator.normal(size=points.shape)):
+                    moved, arrived, across = onto(points + step * move)
+                    moved_value = np.where(arrived, learner.value(moved), -np.inf)
+                    higher = moved_value > value
+                    points, normal = (np.where(higher[:, None], a, b) for a, b in ((moved, points), (across, normal)))
+                    value = np.where(higher, moved_value, value)
+        return list(zip(np.split(points, cuts), np.split(value, cuts)))
 
 
 def _tangential(gradient: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

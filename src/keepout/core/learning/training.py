@@ -205,39 +205,26 @@ class _Course:
         if self.hunt is None or phase_of(numbers, block) == 0:
             return state
         known = np.asarray(state.hard.x, np.float64) * domain.learned_radius + domain.centre
-        fresh, worst = self.hunt.worst(
-            Learned(state.layers, numbers.beta, domain),
-            known,
-            np.random.default_rng((self.seed, block)),
-            settling=settling(numbers, block),
-        )
+        learner, generator = Learned(state.layers, numbers.beta, domain), np.random.default_rng((self.seed, block))
+        fresh, worst = self.hunt.worst(learner, known, generator, settling=settling(numbers, block))
         hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
         return state._replace(hard=hard, worst=jnp.asarray(worst, jnp.float32))
 
     def trained(self, state: _State, block: int) -> _State:
         """Take the steps of one block."""
         numbers, domain = self.numbers, self.domain
-        key = jax.random.fold_in(jax.random.key(self.seed), block)
-        rates = learning_rates(numbers, block)
+        whole_key, rates = jax.random.fold_in(jax.random.key(self.seed), block), learning_rates(numbers, block)
         batch, phase = min(numbers.batch, int(self.examples.known)), phase_of(numbers, block)
         hard = round(HARD_SHARES[phase] * batch)
         # Of all points none is drawn, and each is as it is.
         drawn = hard or batch < int(self.examples.known)
         sloped = self.examples.rows(batch - hard) if drawn else int(self.examples.sloped)
+        scale, bend = map(jnp.float32, (domain.learned_radius, numbers.squared_below[phase // 2]))
         terms, layers, optimizer = [], state.layers, state.optimizer
         for n in range(0, len(rates), losses.ROUND):
             state = state._replace(layers=layers, optimizer=optimizer)
-            layers, optimizer, *means = _train_round(
-                numbers,
-                hard,
-                sloped,
-                state,
-                self.examples,
-                jnp.float32(domain.learned_radius),
-                jnp.float32(numbers.squared_below[phase // 2]),
-                jax.random.fold_in(key, n),
-                rates[n : n + losses.ROUND],
-            )
+            key, now = jax.random.fold_in(whole_key, n), rates[n : n + losses.ROUND]
+            layers, optimizer, *means = _train_round(numbers, hard, sloped, state, self.examples, scale, bend, key, now)
             terms.append(means)
         value_term, slope_term = (jnp.stack(means).mean() for means in zip(*terms))
         learned = Learned(layers, numbers.beta, domain)

@@ -108,7 +108,7 @@ def upper_bounds(network: Network, elements: Elements) -> Bounds:
 
     def work(part: slice) -> None:
         room = _Room.of(network, len(elements))
-        for start in range(part.start, min(part.stop, m), CHUNK):
+        for start in range(part.start, part.stop, CHUNK):
             piece = elements[:, start : min(start + CHUNK, part.stop)]
             count = piece.shape[1]
             padded = np.concatenate([piece, np.repeat(piece[:, -1:], CHUNK - count, axis=1)], axis=1)

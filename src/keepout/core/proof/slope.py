@@ -104,9 +104,8 @@ def _bounds(prepared: "Prepared", centres: Float[np.ndarray, "m 3"], half_width:
     answer = np.empty(len(centres))
 
     def work(part: slice) -> None:
-        stop = min(part.stop, len(centres))
-        for start in range(part.start, stop, _CHUNK):
-            piece = slice(start, min(start + _CHUNK, stop))
+        for start in range(part.start, part.stop, _CHUNK):
+            piece = slice(start, min(start + _CHUNK, part.stop))
             rows = centres[piece]
             answer[piece] = slope_bounds(prepared, rows, np.full(len(rows), half_width))
 
