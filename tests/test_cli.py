@@ -226,6 +226,11 @@ def test_a_fit_is_told_what_was_asked_for_and_one_that_is_stopped_says_so_in_a_l
     assert [told[name] for name in ("until_bound", "at_most", "chaser_radius", "seed")] == [0.02, 60.0, 0.4, 3]
     assert answer.err.endswith("keepout: stopped\n")
     assert not (tmp_path / "box.keepout").exists()
+    keepout_command("fit", "box", "-o", tmp_path / "box.keepout", "--from", "intelsat30")
+    assert told["first"].target_name == "intelsat30"
+    answer = keepout_command("fit", "box", "-o", tmp_path / "box.keepout", "--from", "intelsat31")
+    assert answer.code == 2
+    assert "intelsat31: no field; it must be a .keepout file, or one of intelsat30, iss, tiangong" in answer.err
 
 
 def test_memory_that_does_not_suffice_is_one_line_too(monkeypatch):

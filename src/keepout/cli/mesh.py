@@ -124,8 +124,11 @@ def fit(
     ] = None,
     certify: Annotated[bool, typer.Option("--certify", help="Then `certify` it.")] = False,
     first: Annotated[
-        Path | None,
-        typer.Option("--from", help="Begin with the field of a similar mesh: half the time or less."),
+        str | None,
+        typer.Option(
+            "--from",
+            help="Begin with a similar mesh's field, a file or built-in target: half the time or less.",
+        ),
     ] = None,
     until_bound: Annotated[
         float | None,
@@ -143,15 +146,15 @@ def fit(
     with terminal.progress(f"fit {mesh}") as progress:
         entry, radius = _read(mesh, read)
         radius = radius if chaser_radius is None else chaser_radius
-        from keepout.core.fields.model import FieldModel
         from keepout.core.learning.losses import find_profile
+        from keepout.verbs.fields import field_named
 
         with options.usage():
             numbers = find_profile(profile)
             numbers = profile if batch is None else numbers.with_batch(batch)
         options.require_file(out, ".keepout", "a field file", refusal=FieldError)
         part = part_of(progress, 0.0, 0.9) if certify else progress
-        begun = None if first is None else FieldModel.load(first)
+        begun = None if first is None else field_named(first)
         settings = {"profile": numbers, "chaser_radius": radius, "seed": seed, "first": begun}
         settings |= {"until_bound": until_bound, "at_most": at_most}
         summary = {**_fitted(entry, out, settings, part), "profile": profile, "seed": seed}

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from keepout.core.errors import FieldError, UsageError
+from keepout.core.fields import load_shipped, shipped_names
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
 from keepout.core.learning import training
@@ -42,7 +43,8 @@ def fit(
         chaser_radius: of the ball that holds the chaser, m; a scenario's own, and else 0.5, if absent.
         certify: then prove by how much the field over-states the distance (e_h, m), for this radius.
         out: the field file (.keepout) to write, before and after the proof.
-        first: the field, or its file, of a mesh that differs little, to begin with: half the time or less.
+        first: the field of a mesh that differs little, to begin with, its file, or a built-in target's name: half the
+            time or less.
         until_bound: end as soon as no over-statement above this is found, m.
         at_most: end after about this time, s; the proof's is not counted.
         seed: the same seed, target and profile on the same machine give the same field, but for `at_most`.
@@ -68,7 +70,7 @@ def fit(
         chaser_radius = target.chaser.radius if isinstance(target, Scenario) else 0.5
     loaded, entry = mesh_of(target)
     part = part_of(progress, 0.0, 0.9) if certify else progress
-    first = FieldModel.load(first) if isinstance(first, str | Path) else first
+    first = field_named(first) if isinstance(first, str | Path) else first
     ends = {"first": first, "until_bound": until_bound, "at_most": at_most}
     settings = {"profile": profile, "chaser_radius": chaser_radius, "seed": seed, **ends, **how}
     model = learned(loaded, entry, path, settings, progress=part)
@@ -78,6 +80,21 @@ def fit(
         if path is not None:
             model.save(path)
     return model
+
+
+def field_named(name: Any) -> FieldModel:
+    """Read a field: a file's, or the one that comes with the package for a built-in target of this name.
+
+    Raises:
+        KeepoutError: neither, or a file that cannot be read.
+
+    """
+    if str(name) in shipped_names():
+        return load_shipped(str(name))
+    if isinstance(name, str | Path) and Path(name).suffix == ".keepout":
+        return FieldModel.load(name)
+    valid = f"a .keepout file, or one of {', '.join(shipped_names())}"
+    raise UsageError(f"{name}: no field; it must be {valid}. `keepout describe {name}` says what is wrong with a mesh")
 
 
 def learned(

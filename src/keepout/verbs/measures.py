@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from keepout.core.compiled.kept_programs import keep_programs
-from keepout.core.errors import UsageError
-from keepout.core.fields import load_shipped, shipped_names
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
@@ -19,6 +17,7 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages.folder import results_in
 from keepout.flights.pages.mesh_pictures import draw_slices, draw_surface
 from keepout.flights.surface import Surface, extract_surface, measure_volumes, steepest_slope, surface_distance
+from keepout.verbs.fields import field_named
 from keepout.verbs.meshes import MeshLike, mesh_of, recorded_target
 
 BANDS = ((0.05, 1.0), (1.0, 5.0))
@@ -58,19 +57,10 @@ def measure(
         mesh = load_target(flown.target) if mesh is None else mesh
         model = load_model(flown, mesh)
     else:
-        model = field if isinstance(field, FieldModel) else _field_named(field)
+        model = field if isinstance(field, FieldModel) else field_named(field)
         mesh = load_target(recorded_target(model.target_name, model)) if mesh is None else mesh
         model.require_target(mesh, where="field")
     return measured(model, mesh, None if out is None else Path(out), seed=seed, progress=progress)
-
-
-def _field_named(name: Any) -> FieldModel:
-    if str(name) in shipped_names():
-        return load_shipped(str(name))
-    if isinstance(name, str | Path) and Path(name).suffix == ".keepout":
-        return FieldModel.load(name)
-    valid = f"a .keepout file, or one of {', '.join(shipped_names())}"
-    raise UsageError(f"{name}: no field; it must be {valid}. `keepout describe {name}` says what is wrong with a mesh")
 
 
 def measured(model: FieldModel, target: Target, out: Path | None, *, seed: int, progress: Progress) -> dict[str, Any]:
