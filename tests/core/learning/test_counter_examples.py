@@ -25,7 +25,7 @@ def _fewer_candidates(monkeypatch):
 def prepared(solid, chaser_radius):
     domain = Domain.around(solid.distance)
     points = samples.training_points(solid.distance, domain, 100_000, np.random.default_rng(0), PROFILE)
-    return Hunt.prepare(solid, domain, chaser_radius, PROFILE, samples.label(solid, points), np.random.default_rng(1))
+    return Hunt.prepare(solid, domain, chaser_radius, PROFILE, samples.label(solid, points))
 
 
 NOTHING_KNOWN = np.zeros((0, 3))

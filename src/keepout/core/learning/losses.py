@@ -148,7 +148,7 @@ _STATION = dataclasses.replace(
     far_over_weight=0.5,
     squared_below=(0.1, 1e-6),
 )
-_FINE_STATION = dataclasses.replace(_STATION, steps=13_000, tuning_steps=9_000, polish_steps=3_000, worst=3_000)
+_FINE_STATION = dataclasses.replace(_STATION, steps=13_000, tuning_steps=9_000, polish_steps=2_000, worst=3_000)
 _PAPER = TrainingProfile(
     loss="paper_pinball",
     width=512,

@@ -24,8 +24,6 @@ value nearer by)."""
 ON_LEVEL, NEAR = 50_000, 70_000
 """Candidates on the surface, as on the chaser's contact surface, drawn anew every round; and those in the room next to
 the surface (`Domain.room`), at most: of the labelled samples, and they stay."""
-POOL = 150_000
-"""Points of the contact surface that are drawn from: to find one takes three closest points."""
 MOST_WRONG = 4.0
 """Times the mean error: a sample that is more wrong is drawn no more often."""
 ROUNDS_KEPT, CLIMBERS = 3, 2048
@@ -169,7 +167,6 @@ class Hunt:
         domain: of the field.
         levels: distances at which a chaser touches, metres: of a point, and of the chaser if that is another.
         near: labelled points near the surface.
-        touching: points where the chaser touches, of which each round draws; none for a chaser that is a point.
         profile: the numbers of the fit.
 
     """
@@ -178,26 +175,17 @@ class Hunt:
     domain: Domain
     levels: tuple[float, ...]
     near: Samples
-    touching: Float[np.ndarray, "m 3"]
     profile: TrainingProfile
 
     @classmethod
     def prepare(
-        cls,
-        solid: OffsetSolid,
-        domain: Domain,
-        chaser_radius: float,
-        profile: TrainingProfile,
-        samples: Samples,
-        generator: np.random.Generator,
+        cls, solid: OffsetSolid, domain: Domain, chaser_radius: float, profile: TrainingProfile, samples: Samples
     ) -> "Hunt":
         """Take the candidates that stay from what is learned: the room next to the surface, evenly picked."""
         near = np.flatnonzero(samples.distance < domain.room)
         near = near[np.linspace(0, len(near) - 1, min(NEAR, len(near))).astype(int)]
-        levels, touching, distance = (0.0,), np.empty((0, 3)), solid.distance
-        if isinstance(distance, ExactDistance) and chaser_radius > 0.0:
-            levels, touching = (0.0, chaser_radius), level_points(distance, chaser_radius, POOL, generator)
-        return cls(solid, domain, levels, samples.picked(near), touching, profile)
+        exact = isinstance(solid.distance, ExactDistance) and chaser_radius > 0.0
+        return cls(solid, domain, (0.0, chaser_radius) if exact else (0.0,), samples.picked(near), profile)
 
     @property
     def kept(self) -> int:
@@ -240,11 +228,8 @@ class Hunt:
         distance = self.solid.distance
         if not isinstance(distance, ExactDistance):
             return surface_points(distance, ON_LEVEL, generator)
-        if level == 0.0:
-            new = level_points(distance, 0.0, ON_LEVEL, generator)
-        else:
-            some = min(ON_LEVEL, len(self.touching))
-            new = self.touching[generator.choice(len(self.touching), some, replace=False, shuffle=False)]
+        # New ones in every round, as a spike is narrower than those of one lie apart.
+        new = level_points(distance, level, ON_LEVEL, generator)
         return np.concatenate([new, onto_level(distance, known, level)])
 
     def _climbed(

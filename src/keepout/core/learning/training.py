@@ -126,7 +126,7 @@ def fit(
         learned, weight, numbers = samples.picked(drawn), weight[drawn], shortened(numbers, error.mean())
     hunt = None
     if numbers.tuning_steps or numbers.polish_steps:
-        hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, samples, generator)
+        hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, samples)
     data = normalised(learned, domain, weight)
     seconds = {"solid": sealed - start, "labels": time.perf_counter() - sealed, "hunts": 0.0, "steps": 0.0}
     pace = Pace(numbers, ending, start)
