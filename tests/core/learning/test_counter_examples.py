@@ -8,7 +8,7 @@ import pytest
 from keepout.core.fields.continuation import Domain
 from keepout.core.learning import samples
 from keepout.core.learning.losses import TrainingProfile
-from keepout.core.learning.samples import COPIES, HIGHEST, JITTER, ROUNDS_KEPT, Hunt
+from keepout.core.learning.samples import COPIES, HIGHEST, JITTER, ON_LEVEL, ROUNDS_KEPT, Hunt
 
 pytestmark = pytest.mark.long
 
@@ -70,6 +70,26 @@ def test_a_planted_peak_is_climbed(solid, peak, level, width):
     truth = solid.distance.distance(found[near]) - solid.offset
     inside = np.asarray(batch.hidden)[near]
     assert np.allclose(np.asarray(batch.distance)[near][~inside], truth[~inside], atol=1e-5)
+
+
+def test_every_search_has_new_candidates_where_the_chaser_touches(solid):
+    """A spike is narrower than the points of one search lie apart: more searches must see more places."""
+
+    class Asked(Wrong):
+        def value(self, points):
+            asked.append(points)
+            return super().value(points)
+
+    hunt, rounds = prepared(solid, 0.3), []
+    for seed in (1, 2):
+        asked = []
+        wrong = Asked(solid.distance, 0.05, (1.0, 0.12, 0.31), HEIGHT, WIDTH)
+        hunt.worst(wrong, NOTHING_KNOWN, np.random.default_rng(seed))
+        assert np.allclose(solid.distance.distance(asked[1]), 0.3, atol=1e-8)
+        rounds.append(set(map(tuple, asked[1])))
+        assert len(rounds[-1]) > 0.5 * ON_LEVEL
+    # Some that start at a corner end in one place.
+    assert len(rounds[0] & rounds[1]) < 0.05 * ON_LEVEL
 
 
 def test_a_peak_known_before_is_found_again(solid):
