@@ -115,7 +115,7 @@ def fit(
     sealed = time.perf_counter()
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
-    count = numbers.samples // (2 if begun else 1)
+    count = numbers.samples // (3 if begun else 1)
     points = training_points(distance, domain, count, generator, numbers)
     samples = learned = label(solid, points, whole_depth=numbers.loss != "keepout")
     weight = numbers.near / (np.abs(samples.distance) + numbers.near)
