@@ -170,7 +170,7 @@ _PAPER = TrainingProfile(
 PROFILES: dict[str, TrainingProfile] = {
     "default": TrainingProfile(large=_STATION),
     "fine": dataclasses.replace(_MORE, steps=8_000, tuning_steps=4_000, large=_FINE_STATION),
-    "quick": TrainingProfile(width=48, depth=3, samples=60_000, steps=1000, tuning_steps=250, polish_steps=150),
+    "quick": TrainingProfile(width=48, depth=3, samples=60_000, steps=1000, tuning_steps=250),
     "paper": _PAPER,
     "paper_printed": dataclasses.replace(_PAPER, loss="paper_printed"),
 }
