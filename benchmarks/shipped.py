@@ -23,9 +23,9 @@ LONGER_POLISHED = dataclasses.replace(PROFILES["default"], polish_steps=1_000, l
 HOW = {"intelsat30": (LONGER_POLISHED, 1)}
 """Profile and seed of a field; others have the profile fine and seed 0.
 
-By the profile fine the field of `intelsat30` is nearer by a third, but it is steeper: its slope is proved to be 4.25 at
-most instead of 3.32. Of seeds 0 to 3 this one has the smallest certificates of those by whose field the paper's flight
-of Case 1 does not touch."""
+By the profile fine the field of `intelsat30` is nearer by a third, but the proved bound of its slope is larger by a
+quarter. Of seeds 0 to 3 this one has the smallest certificates of those by whose field the paper's flight of Case 1
+does not touch."""
 
 
 def make(name: str) -> FieldModel:

@@ -142,7 +142,7 @@ def origins() -> list[str]:
     columns = {key: key for key in ("tables", "command", "machine", "date", "commit")}
     rows = [{"tables": name, **entry} for name, entry in kept_file("origins").items()]
     rows = [row | {"command": f"`{row['command']}`"} for row in rows]
-    words = ["The shipped fields are of 2026-11-29; flights by shipped fields of an earlier date are by earlier ones."]
+    words = ["The shipped fields are of 2026-11-29: flights before that day are by those of their time."]
     return measured("Where the figures come from", words, rows, columns)
 
 
